@@ -13,17 +13,18 @@ from benchmarks.fit_arms import Fit
 from benchmarks.fit_photographs import Photographs
 from benchmarks.gsplat_fit import BLACK
 from lightfield_gs.bench import options
-from lightfield_gs.fitting.evaluate import render_and_photo, weighted_psnr_db, weighted_ssim
+from lightfield_gs.fitting.evaluate import match_colours, render_and_photo, weighted_psnr_db, weighted_ssim
 from lightfield_gs.reference.metrics import gradient_psnr_db
 
 Lpips = Callable[[Tensor, Tensor], float]
-SCORES = ("psnr_db", "ssim", "lpips", "gradient_psnr_db")
+SCORES = ("psnr_db", "cc_psnr_db", "ssim", "lpips", "gradient_psnr_db")
 CONE_SCORES = tuple(f"cone_{name}" for name in SCORES)
 _VGG = "https://download.pytorch.org/models/vgg16-397923af.pth"  # torchvision's, which the package lpips reads
 _LPIPS = "LPIPS by VGG-16 (package lpips, Zhang et al. 2018)"
 PROTOCOL = (
-    "means over held-out photographs, at their own size: PSNR and SSIM as `fit` has them; sharpness: PSNR of the "
-    "differences of neighbouring pixels"
+    "means over held-out photographs, at their own size: PSNR and SSIM as `fit` has them; colours matched: PSNR after "
+    "the affine change of colours that suits each photograph best; sharpness: PSNR of the differences of neighbouring "
+    "pixels"
 )
 
 
@@ -43,6 +44,7 @@ def scores(fit: Fit, photographs: Photographs, lpips: Lpips | None = None) -> di
         found.append(
             {
                 "psnr_db": weighted_psnr_db(image, photo, weights),
+                "cc_psnr_db": weighted_psnr_db(match_colours(image, photo, weights), photo, weights),
                 "ssim": weighted_ssim(image, photo, weights),
                 "lpips": None if lpips is None else lpips(*(plane * counts for plane in planes)),
                 "gradient_psnr_db": float(gradient_psnr_db(*planes, weights)),

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from lightfield_gs.rasterizer.quality import Quality
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
+    from lightfield_gs.show.notebook import NotebookPicture
     from lightfield_gs.simplification.pruning import prune
     from lightfield_gs.simplification.simplify import simplify
 
@@ -42,6 +43,7 @@ _HOMES = {
     "Gaussians": "scene.gaussians",
     "InputError": "base.errors",
     "Look": "panels.look",
+    "NotebookPicture": "show.notebook",
     "Optics": "panels.optics",
     "Panel": "panels.panel",
     "PhotoEncoder": "photo.encoder",
@@ -75,6 +77,7 @@ __all__ = [
     "Gaussians",
     "InputError",
     "Look",
+    "NotebookPicture",
     "Optics",
     "Panel",
     "PhotoEncoder",

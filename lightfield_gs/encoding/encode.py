@@ -20,7 +20,7 @@ from lightfield_gs.encoding.sorted_plan import SortedPlan
 from lightfield_gs.panels.optics import LENS, Optics
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 from lightfield_gs.panels.rig import Rig, lenticular_camera, view_aperture
-from lightfield_gs.rasterizer.direct import DirectRender
+from lightfield_gs.rasterizer.direct import DirectRender, render_direct
 from lightfield_gs.rasterizer.direct_optics import render_with_optics
 from lightfield_gs.rasterizer.lenticular_camera import PINHOLE
 from lightfield_gs.rasterizer.operators import refuse_tangents
@@ -158,7 +158,7 @@ def encode(
         if optics is not None and learned:
             numbers = optics.rig_numbers(panel, cast(Rig, rig), view_filter)
             return render_with_optics(list(fields), colour, camera, antialiased, numbers, optics.lens_numbers(panel))
-        return torch.ops.lightfield_gs.render_direct(*fields, colour, *camera.numbers(), antialiased)
+        return render_direct(*fields, colour, *camera.numbers(), antialiased)
     counters = Stats(device=gaussians.means.device if stats is not None else None)
     if method == "direct":
         camera = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter)

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from lightfield_gs.base.assumptions import assume
-from lightfield_gs.base.checks import expect, is_row, real_number, shown
+from lightfield_gs.base.checks import counted, expect, is_row, real_number, shown
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEVICES, MOMENTS_ON, PHOTOS_ON, Device, MomentsOn, PhotosOn, TestEvery
@@ -43,6 +43,7 @@ from lightfield_gs.io.scenes.plausibility import float32_step, typical_size
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.stored_rigs import needs_rig_beside, write_rig_beside
 from lightfield_gs.scene.gaussians import Gaussians
+from lightfield_gs.show.notebook import NotebookPicture
 
 _ORIGIN_STEP = 1e-3  # the largest rounding to float32 of a position, as a fraction of the usual Gaussian's size
 _FEW_PHOTOGRAPHS = 12  # up to which dropout gained most in the measurements, and a fit mentions it
@@ -78,6 +79,29 @@ class FitResult:
     pruning: PanelPruning | None = None
     window_scores: WindowScores | None = None
     front: Display | None = None
+
+    def _repr_html_(self) -> str:
+        """Return the picture that a notebook shows."""
+        return self._picture(1)._repr_html_()
+
+    def show(self) -> NotebookPicture:
+        """Return what the panel of the fit shows, as a picture that follows the pointer in a notebook.
+
+        Without a panel it is what one of the photographs' shape shows before `front`, or the scene from all around.
+        """
+        return self._picture(NotebookPicture.FRAMES)
+
+    def _picture(self, frames: int) -> NotebookPicture:
+        """Return pictures of the scene, and what the fit says of itself."""
+        if (shown := self.display or self.front) is None:
+            drawn = NotebookPicture.of_gaussians(self.gaussians, frames)
+        else:
+            drawn = NotebookPicture.of_views(self.gaussians, shown.panel, shown.rig, frames)
+        facts = f"fit of {self.steps} steps{', stopped' if self.stopped else ''}"
+        if self.scores is not None:
+            held_out = counted(len(self.scores.names), "held-out photograph")
+            facts += f", {self.scores.mean_psnr_db:.2f} dB and SSIM {self.scores.mean_ssim:.3f} on {held_out}"
+        return replace(drawn, facts=f"{facts}; {drawn.facts}")
 
     def save(self, path: str | Path, comments: Sequence[str] = ()) -> None:
         """Write the scene as .ply, .glb, .usd, .spz or .splat, see Gaussians.save.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -128,20 +128,36 @@ def subsample(gaussians: Gaussians) -> Gaussians:
 def photo_extent(gaussians: Gaussians) -> Tensor:
     """Return the content_extent of a photo's Gaussians, in the photo's axes; of a million an eighth is enough.
 
-    Of more than 2^17 Gaussians only every n-th in storage is measured. A hash chooses it, so that columns and rows of a
-    grid are met alike. Their number alone decides which ones; nothing waits for a device.
+    Of more than 2^17 Gaussians only some are measured.
     """
-    few = -(-gaussians.count // _MANY)
-    if few == 1:
-        return content_extent(gaussians)
-    index = torch.arange(gaussians.count // few, device=gaussians.device)
-    # Knuth's multiplicative hash, The Art of Computer Programming, vol. 3, section 6.4
-    return content_extent(select(gaussians, few * index + (index * 2654435761 >> 16) % few))
+    return content_extent(_at_most(gaussians, _MANY))
 
 
 def select(gaussians: Gaussians, which: Tensor | slice) -> Gaussians:
     """Return the Gaussians that `which` selects: a slice, bool [N], or indices."""
     return from_tensors(field[which] for field in gaussians.fields().values())
+
+
+def thinned(gaussians: Gaussians, most: int) -> Gaussians:
+    """Return at most so many Gaussians of one set, larger by as much, so that they cover about the same area."""
+    some = _at_most(gaussians, most)
+    if some is gaussians:
+        return gaussians
+    return replace(some, scales=some.scales * math.sqrt(gaussians.count / some.count))
+
+
+def _at_most(gaussians: Gaussians, most: int) -> Gaussians:
+    """Return one of every few Gaussians in storage, at most so many.
+
+    A hash chooses it, so that columns and rows of a grid are met alike. Their number alone decides which ones; nothing
+    waits for a device.
+    """
+    few = -(-gaussians.count // most)
+    if few <= 1:
+        return gaussians
+    index = torch.arange(gaussians.count // few, device=gaussians.device)
+    # Knuth's multiplicative hash, The Art of Computer Programming, vol. 3, section 6.4
+    return select(gaussians, few * index + (index * 2654435761 >> 16) % few)
 
 
 def _middle_scales(gaussians: Gaussians) -> Tensor:

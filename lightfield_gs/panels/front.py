@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import NamedTuple, cast
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.panels.content import content_bounds, find_subject, select
+from lightfield_gs.panels.content import content_bounds, find_subject, select, thinned
 from lightfield_gs.panels.visibility import check_single, degree_zero
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.axes import orbit_rotation, upright_rotation
@@ -57,7 +58,7 @@ def find_front(gaussians: Gaussians, up: str) -> float:
     subject = degree_zero(gaussians if found.inside is None else select(gaussians, found.inside))
     if subject.count < _CONSTANTS.least:
         return 0.0
-    subject = _thinned(subject)
+    subject = thinned(subject, _CONSTANTS.most)
     turns = range(0, 360, _CONSTANTS.step_deg)
     shown = [_shown(picture) for picture in _pictures(subject, turns, upright_rotation(up))]
     details = [one.detail for one in shown]
@@ -69,15 +70,6 @@ def find_front(gaussians: Gaussians, up: str) -> float:
     return float(turn if turn <= 180 else turn - 360)
 
 
-def _thinned(gaussians: Gaussians) -> Gaussians:
-    """Return some of the Gaussians, larger by as much, so that they cover about the same area."""
-    few = -(-gaussians.count // _CONSTANTS.most)
-    if few == 1:
-        return gaussians
-    some = select(gaussians, slice(None, None, few))
-    return replace(some, scales=some.scales * math.sqrt(few))
-
-
 def _pictures(gaussians: Gaussians, turns: range, rotation: np.ndarray) -> list[tuple[Tensor, Tensor]]:
     """Return image [S, S, 3] and alpha [S, S] of a subject from each side, all of one distance."""
     bounds = content_bounds(gaussians).cpu().double().numpy()
@@ -85,10 +77,7 @@ def _pictures(gaussians: Gaussians, turns: range, rotation: np.ndarray) -> list[
     half = math.radians(_CONSTANTS.field_of_view_deg) / 2
     distance, focal = max(radius, 1e-6) / math.sin(half), _CONSTANTS.size_px / 2 / math.tan(half)
     pictures = []
-    for turn in turns:
-        pose = np.eye(4)
-        pose[:3, :3] = orbit_rotation(turn, 0) @ rotation
-        pose[:3, 3] = np.array([0, 0, distance]) - pose[:3, :3] @ middle
+    for pose in orbit_poses(middle, distance, turns, rotation):
         camera = Cameras(
             torch.from_numpy(pose)[None],
             torch.full((1, 2), focal, dtype=torch.float64),
@@ -100,6 +89,27 @@ def _pictures(gaussians: Gaussians, turns: range, rotation: np.ndarray) -> list[
             drawn = render(gaussians, camera, background=(0, 0, 0), alpha=True)
         pictures.append((drawn.image[0], cast(Tensor, drawn.alpha)[0]))
     return pictures
+
+
+def orbit_poses(
+    middle: np.ndarray, distance: float, turns_deg: Iterable[float], rotation: np.ndarray, tilt_deg: float = 0.0
+) -> np.ndarray:
+    """Return world-to-camera poses [T, 4, 4] of cameras on a circle round a point, all of which look at it.
+
+    Args:
+        middle: [3], the point, scene units.
+        distance: Of the cameras from it, scene units.
+        turns_deg: T angles that a camera goes to the right.
+        rotation: [3, 3], world to camera, of the camera that does not turn.
+        tilt_deg: The angle that all cameras go up.
+    """
+    poses = []
+    for turn in turns_deg:
+        pose = np.eye(4)
+        pose[:3, :3] = orbit_rotation(turn, tilt_deg) @ rotation
+        pose[:3, 3] = np.array([0, 0, distance]) - pose[:3, :3] @ middle
+        poses.append(pose)
+    return np.stack(poses)
 
 
 class _Shown(NamedTuple):

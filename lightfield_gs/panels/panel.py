@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+import lightfield_gs
 from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import check_fields, checked_field, expect, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError, named
@@ -146,6 +147,10 @@ class Panel:
                 f"panel: cell_pattern {self.cell_pattern} ({self.cell_rule}) needs {wanted} subpixel_cells, "
                 f"got {len(self.subpixel_cells)}"
             )
+
+    def _repr_html_(self) -> str:
+        """Return the picture that a notebook shows."""
+        return lightfield_gs.NotebookPicture.of_panel(self)._repr_html_()
 
     # Sources of panels
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+import lightfield_gs
 from lightfield_gs.base.checks import (
     check_fields,
     checked_field,
@@ -31,6 +32,7 @@ from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture, Lentic
 from lightfield_gs.scene.axes import DEFAULT_UP, orbit_rotation, upright_rotation
 
 if TYPE_CHECKING:
+    from lightfield_gs import NotebookPicture
     from lightfield_gs.scene.cameras import Cameras
     from lightfield_gs.scene.gaussians import Gaussians
 
@@ -172,6 +174,18 @@ class Rig:
         matrix = self.world_to_camera.copy()
         matrix[:3, 3] += matrix[:3, :3] @ np.asarray(origin, np.float64)
         return replace(self, world_to_camera=matrix)
+
+    def _repr_html_(self) -> str:
+        """Return the picture that a notebook shows."""
+        return lightfield_gs.NotebookPicture.of_rig(self)._repr_html_()
+
+    def show(self, panel: Panel | None = None) -> NotebookPicture:
+        """Return a drawing of the fan of cameras and the zero plane that turns with the pointer, in a notebook.
+
+        Args:
+            panel: The panel that the rig is for, which says the cone where the rig does not.
+        """
+        return lightfield_gs.NotebookPicture.of_rig(self, panel, lightfield_gs.NotebookPicture.FRAMES)
 
     # The fan
 

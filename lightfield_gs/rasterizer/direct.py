@@ -16,7 +16,7 @@ from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.device import device_guard
 from lightfield_gs.rasterizer.frame_cuda import known_frames
 from lightfield_gs.rasterizer.lenticular_camera import CameraNumbers, LenticularCamera
-from lightfield_gs.rasterizer.operators import differentiable_once, operator_schema
+from lightfield_gs.rasterizer.operators import operator_schema, register_operator
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.rasterizer.workspace import OpticsGradients, RenderSize, SceneTensors
@@ -177,17 +177,7 @@ def _forward(*arguments: Any) -> Tensor:
     return _unpack(arguments).draw_exactly()
 
 
-render_direct = torch.library.custom_op(
-    "lightfield_gs::render_direct",
-    _forward,
-    mutates_args=(),
-    device_types=("cpu", "cuda"),
-    schema=operator_schema(_SceneArguments, CameraNumbers, _Options, outputs=1),
-)
-
-
-@render_direct.register_fake
-def _(*arguments):
+def _fake(*arguments):
     camera = CameraNumbers(*arguments[_CAMERA:_OPTIONS])
     return arguments[0].new_empty((camera.height_px, camera.width_px, 3))
 
@@ -201,18 +191,17 @@ def _gradients(*arguments: Any) -> tuple[Tensor, ...]:
     return (*fields, background)
 
 
-render_direct_backward = torch.library.custom_op(
-    "lightfield_gs::render_direct_backward",
-    _gradients,
-    mutates_args=(),
-    device_types=("cpu", "cuda"),
-    schema=operator_schema(_SceneArguments, CameraNumbers, _Options, _Drawn, outputs=6, defaults=False),
-)
-
-
-@render_direct_backward.register_fake
-def _(*arguments):
+def _fake_gradients(*arguments):
     return tuple(torch.empty_like(t, memory_format=torch.contiguous_format) for t in arguments[:_CAMERA])
+
+
+render_direct_backward = register_operator(
+    "render_direct_backward",
+    operator_schema(_SceneArguments, CameraNumbers, _Options, _Drawn, outputs=6, defaults=False),
+    _gradients,
+    _fake_gradients,
+    batches=False,
+)
 
 
 def _setup_context(ctx, inputs, output):
@@ -220,11 +209,18 @@ def _setup_context(ctx, inputs, output):
     ctx.save_for_backward(*inputs[:_CAMERA], output)
 
 
-@differentiable_once
 def _backward(ctx, grad):
     *tensors, image = ctx.saved_tensors
-    out = torch.ops.lightfield_gs.render_direct_backward(*tensors, *ctx.numbers, image, grad)
+    out = render_direct_backward(*tensors, *ctx.numbers, image, grad)
     return (*out, *(None for _ in ctx.numbers))
 
 
-render_direct.register_autograd(_backward, setup_context=_setup_context)
+render_direct = register_operator(
+    "render_direct",
+    operator_schema(_SceneArguments, CameraNumbers, _Options, outputs=1),
+    _forward,
+    _fake,
+    _setup_context,
+    _backward,
+    batches=False,
+)

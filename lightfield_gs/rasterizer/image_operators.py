@@ -14,7 +14,14 @@ from torch import Tensor
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageInputs, ImageRender
-from lightfield_gs.rasterizer.operators import differentiable_once, is_eager, operator_schema
+from lightfield_gs.rasterizer.operators import (
+    LIBRARY,
+    differentiable_once,
+    is_eager,
+    operator_schema,
+    register_batches,
+    register_operator,
+)
 from lightfield_gs.rasterizer.workspace import GradientRequest, RenderState
 
 _Images = tuple[Tensor, Tensor, Tensor]  # image, alpha and depth
@@ -35,7 +42,7 @@ def draw_images_and_splats(*arguments: Any) -> tuple[Tensor, ...]:
 def render_images_and_splats(*arguments: Any) -> tuple[Tensor, ...]:
     """Return the images of render_images, and the splats [B * V, N, SPLAT_FIELDS], which have no gradients."""
     arguments = tuple(a.contiguous() if isinstance(a, Tensor) else a for a in arguments)
-    return torch.ops.lightfield_gs.render_images_with_state(*arguments)[:4]
+    return render_images_with_state(*arguments)[:4]
 
 
 def render_images(*arguments: Any) -> _Images:
@@ -63,7 +70,7 @@ def render_images(*arguments: Any) -> _Images:
     tensors = tuple(t.contiguous() for t in given[:9])
     if _is_for_cuda(given.means) and is_eager(tensors):
         return _render_in_two_nodes(tensors[:5], tensors[5], tensors[6:], *given[9:])
-    return _RenderImages.apply(*tensors, *given[9:])[:3]
+    return render_images_with_state(*tensors, *given[9:])[:3]
 
 
 def render_scene(
@@ -86,12 +93,7 @@ def render_scene(
         fields, cameras = (tuple(t.contiguous() for t in tensors) for tensors in (fields, cameras))
         return _render_in_two_nodes(fields, background.contiguous(), cameras, *options)
     batch = (field.unsqueeze(0) for field in fields)
-    return torch.ops.lightfield_gs.render_images(*batch, background, *cameras, *options)
-
-
-_library = torch.library.Library("lightfield_gs", "FRAGMENT")
-_library.define("render_images" + operator_schema(ImageArguments, outputs=3))
-_library.impl("render_images", render_images, "CompositeImplicitAutograd")
+    return render_images(*batch, background, *cameras, *options)
 
 
 def _with_state(*arguments: Any) -> tuple[Tensor, ...]:
@@ -100,23 +102,25 @@ def _with_state(*arguments: Any) -> tuple[Tensor, ...]:
     return (*cast(_Images, render.draw()), *render.work.state())
 
 
-render_images_with_state = torch.library.custom_op(
-    "lightfield_gs::render_images_with_state",
-    _with_state,
-    mutates_args=(),
-    device_types=("cpu", "cuda"),
-    schema=operator_schema(ImageArguments, outputs=6),
-)
+def fake_state(like: Tensor, images: int, count: int) -> RenderState:
+    """Return a RenderState without values, whose lists have a size that is not known.
+
+    Args:
+        like: a tensor of its type and device.
+        images: how many.
+        count: of Gaussians.
+    """
+    size = 0 if type(like) is Tensor else torch.library.get_ctx().new_dynamic_size()  # plain tensors here are meta
+    splats, colours = (like.new_empty(shape) for shape in RenderState.shapes(images, count, 0))
+    return RenderState(splats, colours, like.new_empty(size, dtype=torch.uint8))
 
 
-@render_images_with_state.register_fake
-def _(*arguments):
+def _fake_with_state(*arguments):
     given = ImageArguments(*arguments)
     means, lead = given.means, given.world_to_camera.shape[:2]
     size = (*lead, given.height, given.width)
-    state = [means.new_empty(shape) for shape in RenderState.shapes(lead[0] * lead[1], means.shape[1], 0)]
-    lists = means.new_empty(torch.library.get_ctx().new_dynamic_size(), dtype=torch.uint8)
-    return means.new_empty((*size, 3)), means.new_empty(size), means.new_empty(size), *state, lists
+    images = means.new_empty((*size, 3)), means.new_empty(size), means.new_empty(size)
+    return (*images, *fake_state(means, lead[0] * lead[1], means.shape[1]))
 
 
 class _DrawnArguments(NamedTuple):
@@ -182,20 +186,18 @@ def camera_gradients(cameras: Sequence[Tensor], g_poses: Tensor, g_optics: Tenso
     return shaped[0], shaped[1], shaped[2]
 
 
-render_images_backward = torch.library.custom_op(
-    "lightfield_gs::render_images_backward",
-    _backward_of_state,
-    mutates_args=(),
-    device_types=("cpu", "cuda"),
-    schema=operator_schema(ImageArguments, _DrawnArguments, outputs=10, defaults=False, omit=("screen",)),
-)
-
-
-@render_images_backward.register_fake
-def _(*arguments):
+def _fake_backward(*arguments):
     given, drawn = _of_backward(arguments)
     screen = given.means.new_empty(*given.world_to_camera.shape[:2], given.means.shape[1], drawn.screen_numbers)
     return (*(torch.empty_like(t, memory_format=torch.contiguous_format) for t in given[:9]), screen)
+
+
+render_images_backward = register_operator(
+    "render_images_backward",
+    operator_schema(ImageArguments, _DrawnArguments, outputs=10, defaults=False, omit=("screen",)),
+    _backward_of_state,
+    _fake_backward,
+)
 
 
 def _setup_context(ctx, inputs, output):
@@ -206,35 +208,40 @@ def _setup_context(ctx, inputs, output):
     ctx.set_materialize_grads(False)  # the state has no gradients, and neither have images that the loss does not read
 
 
-@differentiable_once
 def _backward(ctx, *grads):
     saved = ctx.saved_tensors
     g_image = torch.zeros_like(saved[9]) if grads[0] is None else grads[0]
-    backward = _backward_of_state if is_eager(saved) else torch.ops.lightfield_gs.render_images_backward
     asked = ctx.needs_input_grad
     drawn = (*saved[9:], g_image, *grads[1:3], ctx.screen_numbers, asked[6], any(asked[7:9]))
-    *out, g_screen = backward(*saved[:9], ctx.width, ctx.height, ctx.antialiased, ctx.model, *drawn)
+    *out, g_screen = render_images_backward(*saved[:9], ctx.width, ctx.height, ctx.antialiased, ctx.model, *drawn)
     return (*out, *(None,) * 3, g_screen if ctx.screen_numbers else None, None)
 
 
-render_images_with_state.register_autograd(_backward, setup_context=_setup_context)
+render_images_with_state = register_operator(
+    "render_images_with_state",
+    operator_schema(ImageArguments, outputs=6),
+    _with_state,
+    _fake_with_state,
+    _setup_context,
+    _backward,
+)
 
 
-class _RenderImages(torch.autograd.Function):
-    """render_images_with_state with the backward of register_autograd, but recorded faster.
+def _render_images_alone(*arguments: Any) -> _Images:
+    """Return the images of render_images: the operator of this name.
 
-    register_autograd compares every argument with its default. That takes the host 0.1 ms between forward and backward,
-    while the device waits.
+    A compiler sees three outputs. It is told that the size of the lists, which are none of them, does not matter.
     """
+    mode = torch._guards.detect_fake_mode()
+    if mode is None or mode.shape_env is None:
+        return render_images(*arguments)
+    with mode.shape_env.ignore_fresh_unbacked_symbols():
+        return render_images(*arguments)
 
-    @staticmethod
-    def forward(ctx, *inputs):
-        forward = _with_state if is_eager(inputs) else torch.ops.lightfield_gs.render_images_with_state
-        outputs = forward(*inputs)
-        _setup_context(ctx, inputs, outputs)
-        return outputs
 
-    backward = staticmethod(_backward)
+LIBRARY.define("render_images" + operator_schema(ImageArguments, outputs=3))
+LIBRARY.impl("render_images", _render_images_alone, "CompositeImplicitAutograd")
+register_batches("render_images", render_images)
 
 
 def _is_for_cuda(means: Tensor) -> bool:

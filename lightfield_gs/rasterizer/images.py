@@ -6,11 +6,12 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
 
+import lightfield_gs
 from lightfield_gs.base.arrays import Colour, background_tensor, check_tensor
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
@@ -18,6 +19,7 @@ from lightfield_gs.base.options import RenderMode
 from lightfield_gs.rasterizer.image_operators import (
     draw_images,
     draw_images_and_splats,
+    render_images,
     render_images_and_splats,
     render_scene,
 )
@@ -28,6 +30,9 @@ from lightfield_gs.rasterizer.splat_render import Drawn, View, draw_splats
 from lightfield_gs.rasterizer.splat_shapes import splat_conics, splat_means, splat_radii, splat_tiles
 from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians, check_values
+
+if TYPE_CHECKING:
+    from lightfield_gs import NotebookPicture
 
 
 class _FourImages(NamedTuple):
@@ -74,6 +79,14 @@ class RenderedImages(_FourImages):
         for name in _OTHERS:
             setattr(images, name, others.get(name))
         return images
+
+    def _repr_html_(self) -> str:
+        """Return the picture that a notebook shows."""
+        return lightfield_gs.NotebookPicture.of_images(self)._repr_html_()
+
+    def show(self) -> NotebookPicture:
+        """Return the images as a picture that changes from camera to camera with the pointer, in a notebook."""
+        return lightfield_gs.NotebookPicture.of_images(self, beside=False)
 
     def named(self) -> dict[str, Tensor | None]:
         """Return all fields by name."""
@@ -293,7 +306,7 @@ def _drawn(fields: tuple[Tensor, ...], view: View, options: RenderOptions, scree
         return Drawn(*render_scene(fields, view.background, cameras, (*size, screen, view.model)))
     draw: Callable[..., tuple[Tensor, ...]]
     if with_gradients:
-        draw = render_images_and_splats if options.reads_splats else torch.ops.lightfield_gs.render_images
+        draw = render_images_and_splats if options.reads_splats else render_images
     else:  # at the first call of an operator with a backward torch spends a second on imports
         draw = draw_images_and_splats if options.reads_splats else draw_images
     return Drawn(*draw(*batch, view.background, *cameras, *size, screen, view.model))

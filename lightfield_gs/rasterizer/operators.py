@@ -1,4 +1,8 @@
-"""Tools of the torch operators of images: schemas from named tuples, and the refusal of second derivatives."""
+"""How torch operators are made: schemas from named tuples, gradients, batches of vmap, the refusal of second ones.
+
+An operator has one node of autograd for every way of calling it: eagerly, under torch.func, and while torch.compile or
+torch.export trace it. torch.library.register_autograd has none for torch.func, and takes the host 0.1 ms for a call.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +26,8 @@ _SCHEMA_TYPES = {
     list[int]: "SymInt[]",
     list[float]: "float[]",
 }
+LIBRARY = torch.library.Library("lightfield_gs", "FRAGMENT")
+_OF_TRANSFORMS = torch._C.DispatchKey.FuncTorchDynamicLayerFrontMode
 
 
 def operator_schema(*arguments: type, outputs: int, defaults: bool = True, omit: tuple[str, ...] = ()) -> str:
@@ -44,55 +50,145 @@ def operator_schema(*arguments: type, outputs: int, defaults: bool = True, omit:
 
 
 def is_eager(arguments: tuple) -> bool:
-    """Return whether all tensors are plain and nothing is being compiled.
+    """Return whether all tensors are plain, and nothing traces, transforms or compiles the calls of operators.
 
     Then an operator's function may be called without the operator. Recording the operator for a trace or a compiler
     takes the host 0.1 ms each time, while the device waits.
     """
-    plain = all(type(t) in (Tensor, Parameter) for t in arguments if isinstance(t, Tensor))
-    return plain and not torch.compiler.is_compiling()
+    if torch.compiler.is_compiling():
+        return False
+    if torch._C._are_functorch_transforms_active() or torch._C._len_torch_dispatch_stack():
+        return False
+    return all(type(t) in (Tensor, Parameter) and not t.is_meta for t in arguments if isinstance(t, Tensor))
 
 
-def differentiable_operator(
+def _nothing_to_keep(ctx: Any, inputs: tuple, output: Any) -> None:
+    """Set up the context of a node whose backward needs nothing."""
+
+
+def _refuse_second(ctx: Any, *grads: Tensor | None) -> NoReturn:
+    raise InputError(
+        "images are differentiable once, and a second derivative was asked for: leave create_graph out, or take "
+        "differences of first derivatives"
+    )
+
+
+def _refuse_forward_mode(ctx: Any, *tangents: Tensor | None) -> NoReturn:
+    raise InputError("images have no derivatives in forward mode, and an argument is a dual number: use backward()")
+
+
+def register_operator(
     name: str,
     schema: str,
-    forward: Callable[..., Any],
+    function: Callable[..., Any],
     fake: Callable[..., Any],
-    setup_context: Callable[..., None],
-    backward: Callable[..., tuple],
+    setup_context: Callable[..., None] = _nothing_to_keep,
+    backward: Callable[..., Any] = _refuse_second,
+    batches: bool = True,
 ) -> Callable[..., Any]:
-    """Register lightfield_gs::`name` with its backward; return a function that calls it, without the operator if eager.
+    """Register lightfield_gs::`name`; return a function that calls it, or `function` itself where that does the same.
 
     Args:
         name: of the operator.
         schema: of its arguments and outputs.
-        forward: from arguments to outputs.
+        function: from arguments to outputs, on the CPU and CUDA.
         fake: the same for the shapes of the outputs.
-        setup_context: see torch.library.register_autograd.
-        backward: likewise; wrapped by differentiable_once.
+        setup_context: of the node of autograd, from ctx, inputs and output.
+        backward: of the node. Without one, the operator is a backward itself, and refuses second derivatives.
+        batches: whether all tensors begin with a dimension of scenes or images, so that vmap makes it longer. Else
+            vmap calls the operator for each.
     """
-    operator = torch.library.custom_op(
-        f"lightfield_gs::{name}", forward, mutates_args=(), device_types=("cpu", "cuda"), schema=schema
-    )
-    operator.register_fake(fake)
-    operator.register_autograd(backward, setup_context=setup_context)
+    LIBRARY.define(name + schema)
+    overload = getattr(torch.ops.lightfield_gs, name).default
+    defaults = [argument.default_value for argument in overload._schema.arguments]
 
-    def apply_forward(ctx: Any, *inputs: Any) -> Any:
-        outputs = forward(*inputs)
-        setup_context(ctx, inputs, outputs)
-        return outputs
+    def forward(*inputs: Any) -> Any:
+        if is_eager(inputs):
+            return function(*inputs)
+        with torch._C._AutoDispatchBelowAutograd():
+            return overload(*inputs)
 
-    members = {"forward": staticmethod(apply_forward), "backward": staticmethod(backward)}
-    node: Any = type(name, (torch.autograd.Function,), members)
+    def differentiate(*arguments: Any) -> Any:
+        return node.apply(*arguments, *defaults[len(arguments) :])
+
+    def differentiate_in_transforms(*arguments: Any) -> Any:
+        # torch.func excludes its key while it calls an operator's kernels, and a node needs it
+        with torch._C._SetExcludeDispatchKeyGuard(_OF_TRANSFORMS, False):
+            return differentiate(*arguments)
 
     def call(*arguments: Any) -> Any:
-        return node.apply(*arguments) if is_eager(arguments) else operator(*arguments)
+        if not is_eager(arguments):
+            return overload(*arguments)
+        return differentiate(*arguments) if torch.is_grad_enabled() else function(*arguments)
 
+    vmap = register_batches(name, call, batches)
+    members = {
+        "forward": forward,
+        "setup_context": setup_context,
+        "backward": backward,
+        "jvp": _refuse_forward_mode,
+        "vmap": vmap,
+    }
+    node: Any = type(name, (torch.autograd.Function,), {key: staticmethod(member) for key, member in members.items()})
+    for device in ("CPU", "CUDA"):
+        LIBRARY.impl(name, function, device)
+    LIBRARY.impl(name, differentiate_in_transforms, "Autograd")
+    torch.library.register_fake(f"lightfield_gs::{name}", fake, lib=LIBRARY)
     return call
 
 
+def register_batches(name: str, call: Callable[..., Any], batches: bool = True) -> Callable[..., tuple[Any, Any]]:
+    """Register how torch.func.vmap calls lightfield_gs::`name`, and return it; see register_operator."""
+    names = [argument.name for argument in getattr(torch.ops.lightfield_gs, name).default._schema.arguments]
+
+    def vmap(info: Any, in_dims: tuple[int | None, ...], *arguments: Any) -> tuple[Any, Any]:
+        dims = dict(zip(names, in_dims))
+        state_of_each = "lists" not in names or dims["lists"] is None and dims["splats"] is not None
+        rule = _merged if batches and state_of_each else _one_by_one
+        return rule(call, names, info.batch_size, in_dims, arguments)
+
+    torch.library.register_vmap(f"lightfield_gs::{name}", vmap, lib=LIBRARY)
+    return vmap
+
+
+def _merged(
+    call: Callable[..., Any], names: list[str], size: int, in_dims: tuple[int | None, ...], arguments: tuple[Any, ...]
+) -> tuple[Any, Any]:
+    """Return outputs and their dimensions of vmap from one call with `size` times as many scenes.
+
+    The lists of all images are one tensor, which belongs to every row of the batch: the backward merges rows alike.
+    """
+
+    def longer(name: str, value: Any, dim: int | None) -> Any:
+        if not isinstance(value, Tensor) or name == "lists":
+            return value * size if name == "scenes" else value
+        rows = value.expand(size, *value.shape) if dim is None else value.movedim(dim, 0)
+        return rows.flatten(0, 1)
+
+    found = call(*map(longer, names, arguments, in_dims))
+    several = found if isinstance(found, tuple) else (found,)
+    dims = tuple(None if tensor.dtype == torch.uint8 else 0 for tensor in several)
+    outputs = tuple(t if dim is None else t.unflatten(0, (size, -1)) for t, dim in zip(several, dims))
+    return (outputs, dims) if isinstance(found, tuple) else (outputs[0], dims[0])
+
+
+def _one_by_one(
+    call: Callable[..., Any], names: list[str], size: int, in_dims: tuple[int | None, ...], arguments: tuple[Any, ...]
+) -> tuple[Any, Any]:
+    """Return outputs and their dimensions of vmap from `size` calls."""
+
+    def one(row: int) -> Any:
+        given = zip(arguments, in_dims)  # numbers in lists have lists of dimensions
+        return call(*(t.select(dim, row) if isinstance(t, Tensor) and dim is not None else t for t, dim in given))
+
+    found = [one(row) for row in range(size)]
+    if isinstance(found[0], Tensor):
+        return torch.stack(found), 0
+    return tuple(torch.stack(outputs) for outputs in zip(*found)), (0,) * len(found[0])
+
+
 def differentiable_once(backward: Callable[..., tuple]) -> Callable[..., tuple]:
-    """Wrap the `backward`(ctx, *grads) of a node of autograd: its gradients refuse to be differentiated.
+    """Wrap the `backward`(ctx, *grads) of an eager node of autograd: its gradients refuse to be differentiated.
 
     Unlike torch's once_differentiable it also refuses for a loss that is linear in the image, and in autograd.grad.
     There torch would return no second derivatives, without an error.
@@ -100,37 +196,25 @@ def differentiable_once(backward: Callable[..., tuple]) -> Callable[..., tuple]:
 
     @wraps(backward)
     def first(ctx: Any, *grads: Tensor | None) -> tuple:
-        with torch.no_grad():
-            found = backward(ctx, *grads)
         if not torch.is_grad_enabled():
-            return found
-        depends_on = [t for t in (*ctx.saved_tensors, *grads) if t is not None and t.requires_grad]
-        known = [t for t in found if t is not None]
-        refusing = iter(_Refusal.apply(len(known), *known, *depends_on))
-        return tuple(None if t is None else next(refusing) for t in found)
+            return backward(ctx, *grads)
+        return _Once.apply(lambda: backward(ctx, *grads), *ctx.saved_tensors, *grads)
 
     return first
 
 
-class _Refusal(torch.autograd.Function):
-    """Return the first `count` tensors as functions of all others, whose derivative is an error."""
+class _Once(torch.autograd.Function):
+    """Return what a function returns, as functions of tensors whose derivative is an error."""
 
     @staticmethod
-    def forward(ctx, count, *tensors):
-        return tensors[:count]
+    def forward(ctx, function, *tensors):
+        return function()
 
-    @staticmethod
-    def backward(ctx, *grads) -> NoReturn:
-        raise InputError(
-            "images are differentiable once, and a second derivative was asked for: leave create_graph out, or take "
-            "differences of first derivatives"
-        )
+    backward = staticmethod(_refuse_second)
 
 
 def refuse_tangents(*arguments: object) -> None:
     """Raise InputError if an argument is a dual number (torch.autograd.forward_ad)."""
     for tensor in arguments:
         if isinstance(tensor, Tensor) and forward_ad.unpack_dual(tensor).tangent is not None:
-            raise InputError(
-                "images have no derivatives in forward mode, and an argument is a dual number: use backward()"
-            )
+            _refuse_forward_mode(None)

@@ -13,9 +13,9 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.image_operators import camera_gradients
+from lightfield_gs.rasterizer.image_operators import camera_gradients, fake_state
 from lightfield_gs.rasterizer.image_render import ImageBuffers, ImageInputs, ImageRender
-from lightfield_gs.rasterizer.operators import differentiable_once, differentiable_operator, is_eager, operator_schema
+from lightfield_gs.rasterizer.operators import operator_schema, register_operator
 from lightfield_gs.rasterizer.splat_shapes import hidden_splats
 from lightfield_gs.rasterizer.workspace import GradientRequest, RenderState
 
@@ -83,9 +83,7 @@ def _project(*arguments: Any) -> tuple[Tensor, Tensor, Tensor]:
 def _fake_project(*arguments):
     given = ProjectArguments(*arguments)
     images, count = given.world_to_camera.shape[0] * given.world_to_camera.shape[1], given.means.shape[1]
-    splats, colours = (given.means.new_empty(shape) for shape in RenderState.shapes(images, count, 0))
-    lists = given.means.new_empty(torch.library.get_ctx().new_dynamic_size(), dtype=torch.uint8)
-    return splats, colours, lists
+    return fake_state(given.means, images, count)
 
 
 def _project_backward(*arguments: Any) -> tuple[Tensor, ...]:
@@ -100,21 +98,17 @@ def _project_backward(*arguments: Any) -> tuple[Tensor, ...]:
     return (*fields, *g_cameras, screen.view(*lead, count, known.screen_numbers))
 
 
-project_splats_backward = torch.library.custom_op(
-    "lightfield_gs::project_splats_backward",
-    _project_backward,
-    mutates_args=(),
-    device_types=("cpu", "cuda"),
-    schema=operator_schema(
-        ProjectArguments, _ProjectGradients, outputs=9, omit=("screen", "masks", "near", "far", "radius")
-    ),
-)
-
-
-@project_splats_backward.register_fake
-def _(*arguments):
+def _fake_project_backward(*arguments):
     screen = arguments[0].new_empty(*arguments[5].shape[:2], arguments[0].shape[1], arguments[-3])
     return (*(torch.empty_like(t, memory_format=torch.contiguous_format) for t in arguments[:8]), screen)
+
+
+project_splats_backward = register_operator(
+    "project_splats_backward",
+    operator_schema(ProjectArguments, _ProjectGradients, outputs=9, omit=("screen", "masks", "near", "far", "radius")),
+    _project_backward,
+    _fake_project_backward,
+)
 
 
 def _setup_project(ctx, inputs, output):
@@ -126,18 +120,16 @@ def _setup_project(ctx, inputs, output):
     ctx.set_materialize_grads(False)
 
 
-@differentiable_once
 def _backward_project(ctx, sums, *_):
     if sums is None:
         return (None,) * len(ProjectArguments._fields)
     saved = ctx.saved_tensors
-    backward = _project_backward if is_eager(saved) else project_splats_backward
     asked = ctx.needs_input_grad[5], any(ctx.needs_input_grad[6:8])
-    *fields, g_screen = backward(*saved[:8], *ctx.options, *saved[8:], sums, ctx.screen_numbers, *asked)
+    *fields, g_screen = project_splats_backward(*saved[:8], *ctx.options, *saved[8:], sums, ctx.screen_numbers, *asked)
     return (*fields, *(None,) * 4, g_screen if ctx.screen_numbers else None, *(None,) * 4)
 
 
-project_splats = differentiable_operator(
+project_splats = register_operator(
     "project_splats",
     operator_schema(ProjectArguments, outputs=3),
     _project,
@@ -192,8 +184,7 @@ def _list(*arguments: Any) -> tuple[Tensor, Tensor]:
 
 def _fake_list(*arguments):
     splats = arguments[0]
-    lists = splats.new_empty(torch.library.get_ctx().new_dynamic_size(), dtype=torch.uint8)
-    return splats.new_empty(splats.shape), lists
+    return splats.new_empty(splats.shape), fake_state(splats, *splats.shape[:2])[2]
 
 
 def _list_backward(*arguments: Any) -> tuple[Tensor, Tensor]:
@@ -207,19 +198,14 @@ def _list_backward(*arguments: Any) -> tuple[Tensor, Tensor]:
     return gradients, screen.reshape(*inputs.lead, inputs.scene.count, known.screen_numbers).contiguous()
 
 
-list_splats_backward = torch.library.custom_op(
-    "lightfield_gs::list_splats_backward",
-    _list_backward,
-    mutates_args=(),
-    device_types=("cpu", "cuda"),
-    schema=operator_schema(_ListGradients, outputs=2),
-)
-
-
-@list_splats_backward.register_fake
-def _(splats, colours, lists, scenes, width, height, sums, numbers):
+def _fake_list_backward(splats, colours, lists, scenes, width, height, sums, numbers):
     screen = splats.new_empty(scenes, splats.shape[0] // scenes, splats.shape[1], numbers)
     return splats.new_empty(splats.shape), screen
+
+
+list_splats_backward = register_operator(
+    "list_splats_backward", operator_schema(_ListGradients, outputs=2), _list_backward, _fake_list_backward
+)
 
 
 def _setup_list(ctx, inputs, output):
@@ -230,17 +216,15 @@ def _setup_list(ctx, inputs, output):
     ctx.set_materialize_grads(False)
 
 
-@differentiable_once
 def _backward_list(ctx, sums, _):
     if sums is None:
         return (None,) * len(ListArguments._fields)
     saved = ctx.saved_tensors
-    backward = _list_backward if is_eager(saved) else list_splats_backward
-    gradients, g_screen = backward(*saved, *ctx.options, sums, ctx.screen_numbers)
+    gradients, g_screen = list_splats_backward(*saved, *ctx.options, sums, ctx.screen_numbers)
     return gradients, None, g_screen if ctx.screen_numbers else None, None, None, None
 
 
-list_splats = differentiable_operator(
+list_splats = register_operator(
     "list_splats", operator_schema(ListArguments, outputs=2), _list, _fake_list, _setup_list, _backward_list
 )
 
@@ -305,19 +289,17 @@ def _composite_backward(*arguments: Any) -> tuple[Tensor, Tensor, Tensor]:
     return sums, g_colours, parts.view(*given.background.shape[:2], -1, 3).sum(2)
 
 
-composite_splats_backward = torch.library.custom_op(
-    "lightfield_gs::composite_splats_backward",
-    _composite_backward,
-    mutates_args=(),
-    device_types=("cpu", "cuda"),
-    schema=operator_schema(CompositeArguments, _CompositeGradients, outputs=3),
-)
-
-
-@composite_splats_backward.register_fake
-def _(*arguments):
+def _fake_composite_backward(*arguments):
     given = CompositeArguments(*arguments[: len(CompositeArguments._fields)])
     return tuple(t.new_empty(t.shape) for t in (given.splats, given.colours, given.background))
+
+
+composite_splats_backward = register_operator(
+    "composite_splats_backward",
+    operator_schema(CompositeArguments, _CompositeGradients, outputs=3),
+    _composite_backward,
+    _fake_composite_backward,
+)
 
 
 def _setup_composite(ctx, inputs, output):
@@ -327,16 +309,16 @@ def _setup_composite(ctx, inputs, output):
     ctx.set_materialize_grads(False)
 
 
-@differentiable_once
 def _backward_composite(ctx, g_image, g_alpha, g_depth):
     saved = ctx.saved_tensors
-    backward = _composite_backward if is_eager(saved) else composite_splats_backward
     g_image = torch.zeros_like(saved[4]) if g_image is None else g_image
-    sums, g_colours, g_background = backward(*saved[:4], *ctx.options, *saved[4:], g_image, g_alpha, g_depth)
+    sums, g_colours, g_background = composite_splats_backward(
+        *saved[:4], *ctx.options, *saved[4:], g_image, g_alpha, g_depth
+    )
     return (sums, g_colours if ctx.needs_input_grad[1] else None, None, g_background, *(None,) * 4)
 
 
-composite_splats = differentiable_operator(
+composite_splats = register_operator(
     "composite_splats",
     operator_schema(CompositeArguments, outputs=3),
     _composite,
@@ -395,18 +377,16 @@ def _features_backward(*arguments: Any) -> tuple[Tensor, Tensor]:
     return given.render().features_backward(given.features, *arguments[len(given) :])
 
 
-composite_features_backward = torch.library.custom_op(
-    "lightfield_gs::composite_features_backward",
-    _features_backward,
-    mutates_args=(),
-    device_types=("cpu", "cuda"),
-    schema=operator_schema(FeatureArguments, _FeatureGradients, outputs=2),
-)
-
-
-@composite_features_backward.register_fake
-def _(*arguments):
+def _fake_features_backward(*arguments):
     return arguments[0].new_empty(arguments[0].shape), arguments[3].new_empty(arguments[3].shape)
+
+
+composite_features_backward = register_operator(
+    "composite_features_backward",
+    operator_schema(FeatureArguments, _FeatureGradients, outputs=2),
+    _features_backward,
+    _fake_features_backward,
+)
 
 
 def _setup_features(ctx, inputs, output):
@@ -415,15 +395,13 @@ def _setup_features(ctx, inputs, output):
     ctx.options = given[4:]
 
 
-@differentiable_once
 def _backward_features(ctx, g_image):
     saved = ctx.saved_tensors
-    backward = _features_backward if is_eager(saved) else composite_features_backward
-    sums, g_features = backward(*saved[:4], *ctx.options, saved[4], g_image)
+    sums, g_features = composite_features_backward(*saved[:4], *ctx.options, saved[4], g_image)
     return sums, None, None, g_features if ctx.needs_input_grad[3] else None, None, None
 
 
-composite_features = differentiable_operator(
+composite_features = register_operator(
     "composite_features",
     operator_schema(FeatureArguments, outputs=1),
     _features,
@@ -439,16 +417,18 @@ def _median_depth(splats: Tensor, colours: Tensor, lists: Tensor, scenes: int, w
     return ImageRender(inputs, None, state=RenderState(splats, colours, lists)).median_depth()
 
 
-_MEDIAN_SCHEMA = "(Tensor splats, Tensor colours, Tensor lists, SymInt scenes, SymInt width, SymInt height) -> Tensor"
-composite_median_depth = torch.library.custom_op(
-    "lightfield_gs::composite_median_depth",
-    _median_depth,
-    mutates_args=(),
-    device_types=("cpu", "cuda"),
-    schema=_MEDIAN_SCHEMA,
-)
-
-
-@composite_median_depth.register_fake
-def _(splats, colours, lists, scenes, width, height):
+def _fake_median_depth(splats, colours, lists, scenes, width, height):
     return splats.new_empty(scenes, splats.shape[0] // scenes, height, width)
+
+
+def _without_gradients(ctx, inputs, output):
+    ctx.mark_non_differentiable(output)
+
+
+composite_median_depth = register_operator(
+    "composite_median_depth",
+    "(Tensor splats, Tensor colours, Tensor lists, SymInt scenes, SymInt width, SymInt height) -> Tensor",
+    _median_depth,
+    _fake_median_depth,
+    _without_gradients,
+)

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
+import lightfield_gs
 from lightfield_gs.base.checks import expect, real_number, shown, whole_number, wrong_type
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import CAMERA_MODELS, ROLLING_SHUTTERS, CameraModel, RollingShutter
@@ -27,6 +28,7 @@ _WIDEST_DEG = 100.0  # of fisheyes that do not say what they see: lenses of 200 
 _BOTTOM = 1e-5  # largest deviation of the bottom row: checks of gradients move every number by 1e-6
 
 if TYPE_CHECKING:
+    from lightfield_gs import NotebookPicture
     from lightfield_gs.io.captures.camera_files import FileCamera
 
 
@@ -287,6 +289,14 @@ class Cameras(Rows):
         from lightfield_gs.io.captures.camera_files import read_transforms
 
         return _from_file(cls, path, read_transforms(path), index)
+
+    def _repr_html_(self) -> str:
+        """Return the picture that a notebook shows."""
+        return lightfield_gs.NotebookPicture.of_cameras(self)._repr_html_()
+
+    def show(self) -> NotebookPicture:
+        """Return a drawing of the cameras that turns with the pointer, in a notebook."""
+        return lightfield_gs.NotebookPicture.of_cameras(self, lightfield_gs.NotebookPicture.FRAMES)
 
     @property
     def count(self) -> int:

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 import torch
@@ -18,8 +18,12 @@ from lightfield_gs.base.assumptions import Loss, assume
 from lightfield_gs.base.checks import is_row, real_number, shown, wrong_type
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.harmonics import SH_COEFFICIENTS
+from lightfield_gs.scene.axes import DEFAULT_UP
 from lightfield_gs.scene.rotation import rotated_fields
 from lightfield_gs.scene.rows import Rows
+
+if TYPE_CHECKING:
+    from lightfield_gs import NotebookPicture, Panel, Rig
 
 
 @dataclass(eq=False)
@@ -60,6 +64,28 @@ class Gaussians(Rows):
             return f"Gaussians(not valid: {error})"
         sets = f"{len(self.means)} sets of " if self.is_batched else ""
         return f"Gaussians({sets}{self.count}, SH degree {self.sh_degree}, {self.dtype}, {self.device})"
+
+    def _repr_html_(self) -> str:
+        """Return the picture that a notebook shows."""
+        return lightfield_gs.NotebookPicture.of_gaussians(self)._repr_html_()
+
+    def show(self, panel: Panel | None = None, rig: Rig | None = None, *, up: str = DEFAULT_UP) -> NotebookPicture:
+        """Return a picture that turns with the pointer, in a notebook: the scene from all around.
+
+        Args:
+            panel: show its views from the left-most to the right-most instead; of one set.
+            rig: the cameras of these views; None: Rig.frame.
+            up: the axis that points up, as for Rig.frame; without a panel.
+
+        Raises:
+            InputError: a rig without a panel, or Gaussians that cannot be drawn for the panel.
+        """
+        pictures = lightfield_gs.NotebookPicture
+        if panel is None and rig is not None:
+            raise InputError("rig: it has views only on a panel: give panel= too")
+        if panel is None:
+            return pictures.of_gaussians(self, pictures.FRAMES, up)
+        return pictures.of_views(self, panel, rig or lightfield_gs.Rig.frame(self, panel, up=up))
 
     def _expect_tensors(self) -> None:
         for name, tensor in self.fields().items():

@@ -169,14 +169,24 @@ _PAGES = Path(__file__).parent / "page" / "files"
 
 
 def write_look_around_page(path: str | Path, frames: list[np.ndarray], title: str) -> None:
-    """Write frames, the left-most camera's first, each uint8 [h, w, 3], as a page that shows one frame at a time.
-
-    The frames are in the file as WebP. Raises InputError where it cannot be written.
-    """
-    data = json_in_page({"title": title, **strip(frames)})
-    page = filled(_PAGES / "look_around.html", {"views": data, "script": joined(_PAGES / "look_around.js")})
+    """Write look_around_page of these frames, atomically; raise InputError where it cannot be written."""
     with atomic_path(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+        temporary.write_text(look_around_page(frames, title), encoding="utf-8")
+
+
+def look_around_page(
+    frames: list[np.ndarray], title: str, quality: int = _WEBP_QUALITY, is_within: bool = False
+) -> str:
+    """Return a page that shows one frame at a time, and has the frames in it as WebP.
+
+    Args:
+        frames: The left-most camera's first, each uint8 [h, w, 3].
+        title: A line below them.
+        quality: Of the WebP, 1..100.
+        is_within: Whether the page is within another, which has the title: it then moves only with the pointer.
+    """
+    data = json_in_page({"title": title, "is_within": is_within, **strip(frames, quality)})
+    return filled(_PAGES / "look_around.html", {"views": data, "script": joined(_PAGES / "look_around.js")})
 
 
 def strip(frames: Sequence[np.ndarray], quality: int = _WEBP_QUALITY) -> dict[str, Any]:

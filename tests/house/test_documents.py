@@ -9,6 +9,7 @@ benchmark scenes and networks.
 from __future__ import annotations
 
 import json
+import pkgutil
 import re
 import runpy
 import shlex
@@ -19,6 +20,7 @@ from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -30,7 +32,6 @@ from fit_capture import write_capture
 from PIL import Image
 from srn_scene import write_object
 
-import lightfield_gs
 from benchmarks import training_step
 from lightfield_gs import Panel, Rig, cli
 from lightfield_gs.bench import pareto
@@ -299,9 +300,21 @@ def test_comments_point_at_headings_that_exist():
 
 
 def test_every_public_name_is_in_the_reference():
-    shown = re.findall(r"^::: (\S+)$", (ROOT / "docs/python.md").read_text(encoding="utf-8"), re.MULTILINE)
-    public = [f"lightfield_gs.{name}" for name in lightfield_gs.__all__]
-    assert sorted(shown) == sorted([*public, "lightfield_gs.reference"])
+    """The names of the package, and of every room that says by __all__ which of its names are public."""
+    entries = re.findall(r"^::: (\S+)$", (ROOT / "docs/reference.md").read_text(encoding="utf-8"), re.MULTILINE)
+    shown = [pkgutil.resolve_name(entry) for entry in entries]
+    for room in (one for one in list(shown) if isinstance(one, ModuleType)):
+        shown += [getattr(room, name) for name in room.__all__]
+    files = [
+        path for path in (ROOT / "lightfield_gs").rglob("*.py") if "\n__all__ = " in path.read_text(encoding="utf-8")
+    ]
+    rooms = [".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in files]
+    assert {"lightfield_gs", "lightfield_gs.fitting", "lightfield_gs.gsplat", "lightfield_gs.reference"} <= set(rooms)
+    public = {
+        f"{room}.{name}": getattr(import_module(room), name) for room in rooms for name in import_module(room).__all__
+    }
+    assert [name for name, value in public.items() if not any(value is one for one in shown)] == []
+    assert len(set(entries)) == len(entries)
 
 
 def test_every_page_is_in_the_table_of_contents():

@@ -1,4 +1,5 @@
-// The eye goes with the mouse, a finger, or the tilt of the device; until one of them moves, it sways by itself.
+// The eye goes with the mouse, a finger, or the tilt of the device; until one of them moves, it sways by itself, or rests
+// in a page within another.
 
 import { stripOf } from "./strip.js";
 import { followTilt } from "./tilt.js";
@@ -12,7 +13,8 @@ let isTaken = false;
 function show(place) {
   const number = showPlace(place);
   slider.value = Math.min(1, Math.max(0, place));
-  find("#place").textContent = `view ${number + 1} of ${views.frames.length}, from the left`;
+  const count = `${number + 1} of ${views.frames.length}`;
+  find("#place").textContent = views.is_within ? count : `view ${count}, from the left`;
 }
 
 function take(place) { isTaken = true; show(place); }
@@ -24,6 +26,7 @@ function sway(time) {
 }
 
 document.title = find("#title").textContent = views.title;
+document.body.classList.toggle("within", views.is_within);
 addEventListener("pointermove", (event) => {
   if (event.target === slider) return;
   take(event.clientX / innerWidth); // the picture fills the window
@@ -33,4 +36,5 @@ full.hidden = !document.fullscreenEnabled;
 full.addEventListener("click", () => document.documentElement.requestFullscreen());
 slider.addEventListener("input", () => take(slider.valueAsNumber));
 followTilt(find("#tilt"), (across) => take(0.5 - across / (2 * TILT_DEG))); // tilted to the right, it shows what an eye on the left sees
-requestAnimationFrame(sway);
+if (views.is_within) show(0.5);
+else requestAnimationFrame(sway);
