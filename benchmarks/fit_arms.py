@@ -15,8 +15,9 @@ from benchmarks.gsplat_fit import BLACK, PeerFit, Recipe
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import options
 from lightfield_gs.fitting.optimizer import GaussianState
-from lightfield_gs.fitting.settings import Density, FitSettings
+from lightfield_gs.fitting.settings import Density, FitSettings, LossName
 from lightfield_gs.fitting.trainer import Trainer
+from lightfield_gs.fitting.vgg16 import fetch_weights
 from lightfield_gs.rasterizer.images import render
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
@@ -54,8 +55,8 @@ class OurFit:
         return render(self.gaussians(), cameras, background=BLACK).image
 
 
-def _ours(density: Density, photographs: Photographs, settings: FitSettings) -> Fit:
-    return OurFit(photographs, replace(settings, density=density))
+def _ours(density: Density, loss: LossName, photographs: Photographs, settings: FitSettings) -> Fit:
+    return OurFit(photographs, replace(settings, density=density, loss=loss))
 
 
 def _peer(recipe: Recipe, photographs: Photographs, settings: FitSettings) -> Fit:
@@ -72,9 +73,11 @@ PEER_ARMS = {
     "our-rasterizer-gsplat-mcmc": Recipe("ours", "mcmc"),
     "our-rasterizer-gsplat-default": Recipe("ours", "default"),
 }
+WD_ARM = "ours-wd"
 ARMS: dict[str, Callable[[Photographs, FitSettings], Fit]] = {
-    "ours": partial(_ours, "mcmc"),
-    "ours-adaptive": partial(_ours, "adaptive"),
+    "ours": partial(_ours, "mcmc", "l1-ssim"),
+    "ours-adaptive": partial(_ours, "adaptive", "l1-ssim"),
+    WD_ARM: partial(_ours, "mcmc", "wd"),
     **{name: partial(_peer, recipe) for name, recipe in PEER_ARMS.items()},
 }
 OURS = "ours"
@@ -83,9 +86,11 @@ GSPLAT_STRATEGIES = ("gsplat-mcmc", "gsplat-default", "gsplat-absgrad")  # in al
 
 
 def check_arms(arms: Sequence[str]) -> None:
-    """Raise InputError for unknown arms, and for arms of gsplat where it is not installed."""
+    """Fetch the weights that arms need; raise InputError for unknown arms, and where gsplat or weights are missing."""
     if unknown := sorted(set(arms) - set(ARMS)):
         raise InputError(f"arms=: expected of {', '.join(ARMS)}, got {', '.join(unknown)}")
+    if WD_ARM in arms:
+        fetch_weights(options.progress)
     if set(arms) & set(PEER_ARMS):
         peers.gsplat()
 

@@ -15,6 +15,7 @@ from lightfield_gs.io.atomic import atomic_path
 _NUMBERS = (*SCORES, *CONE_SCORES, "psnr_db_by_ours", "gaussians", "seconds", "ms_step", "ms_step_lately", "peak_bytes")
 # Name, column and digits of the scores in tables
 _SHOWN = (
+    ("cc_psnr_db", "colours matched dB", 2),
     ("ssim", "SSIM", 4),
     ("lpips", "LPIPS", 3),
     ("gradient_psnr_db", "sharpness dB", 2),

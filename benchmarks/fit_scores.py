@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -13,17 +12,18 @@ from benchmarks.fit_arms import Fit
 from benchmarks.fit_photographs import Photographs
 from benchmarks.gsplat_fit import BLACK
 from lightfield_gs.bench import options
-from lightfield_gs.fitting.evaluate import render_and_photo, weighted_psnr_db, weighted_ssim
+from lightfield_gs.fitting import vgg16
+from lightfield_gs.fitting.evaluate import match_colours, render_and_photo, weighted_psnr_db, weighted_ssim
 from lightfield_gs.reference.metrics import gradient_psnr_db
 
 Lpips = Callable[[Tensor, Tensor], float]
-SCORES = ("psnr_db", "ssim", "lpips", "gradient_psnr_db")
+SCORES = ("psnr_db", "cc_psnr_db", "ssim", "lpips", "gradient_psnr_db")
 CONE_SCORES = tuple(f"cone_{name}" for name in SCORES)
-_VGG = "https://download.pytorch.org/models/vgg16-397923af.pth"  # torchvision's, which the package lpips reads
 _LPIPS = "LPIPS by VGG-16 (package lpips, Zhang et al. 2018)"
 PROTOCOL = (
-    "means over held-out photographs, at their own size: PSNR and SSIM as `fit` has them; sharpness: PSNR of the "
-    "differences of neighbouring pixels"
+    "means over held-out photographs, at their own size: PSNR and SSIM as `fit` has them; colours matched: PSNR after "
+    "the affine change of colours that suits each photograph best; sharpness: PSNR of the differences of neighbouring "
+    "pixels"
 )
 
 
@@ -43,6 +43,7 @@ def scores(fit: Fit, photographs: Photographs, lpips: Lpips | None = None) -> di
         found.append(
             {
                 "psnr_db": weighted_psnr_db(image, photo, weights),
+                "cc_psnr_db": weighted_psnr_db(match_colours(image, photo, weights), photo, weights),
                 "ssim": weighted_ssim(image, photo, weights),
                 "lpips": None if lpips is None else lpips(*(plane * counts for plane in planes)),
                 "gradient_psnr_db": float(gradient_psnr_db(*planes, weights)),
@@ -70,14 +71,14 @@ def load_lpips(device: str, from_zero: bool = False) -> tuple[Lpips | None, str]
     Returns:
         A function of [3,H,W] in 0..1 twice, 0 for equal images; None where it is not there, with a line printed.
     """
-    weights = Path(torch.hub.get_dir()) / "checkpoints" / _VGG.rsplit("/", 1)[1]
+    weights = vgg16.weights_path()
     try:
         import lpips
     except (ImportError, RuntimeError, OSError) as error:
-        options.progress(f"no LPIPS ({error}): pip install lpips, and save {_VGG} as {weights}")
+        options.progress(f"no LPIPS ({error}): pip install lpips, and save {vgg16.URL} as {weights}")
         return None, "no LPIPS"
     if not weights.is_file():
-        options.progress(f"no LPIPS: the weights of VGG-16 are missing: save {_VGG} as {weights}")
+        options.progress(f"no LPIPS: the weights of VGG-16 are missing: save {vgg16.URL} as {weights}")
         return None, "no LPIPS"
     network = lpips.LPIPS(net="vgg", verbose=False).to(device).eval()
 

@@ -30,6 +30,7 @@ from lightfield_gs.io.text_files import parse_json
 FILE = "checkpoint.safetensors"
 _KEY, _VERSION = "lightfield-gs fit", 1
 _FORMER_MOST, _FORMER_FEW, _FORMER_MANY = 0.2, 12, 48  # a former default of dropout, see _former_dropout
+_FORMER_SETTINGS = {"loss": "l1-ssim"}  # of checkpoints from before there was a choice
 _WAY_OUT = "give the same again, another folder=, or fresh=True to start over"
 
 
@@ -74,7 +75,7 @@ class Identity:
             "cone": json.dumps(weights).encode(),
         }
         if loss is not None:
-            parts["loss"] = str(getattr(loss, "__qualname__", type(loss).__qualname__)).encode()
+            parts["loss"] = loss_name(loss).encode()
         digests = {name: _digest(data) for name, data in parts.items()} | {"sizes": sizes_digest(capture)}
         return cls(json.loads(json.dumps(asdict(settings))), digests, len(train) if weights is None else sum(weights))
 
@@ -88,7 +89,8 @@ class Identity:
 
     def check(self, path: Path, stored: Mapping[str, Any]) -> None:
         """Raise an InputError that names the differences from the metadata of a checkpoint, if there are any."""
-        settings = {FORMER_NAMES.get(name, name): value for name, value in stored["settings"].items()}
+        known = {FORMER_NAMES.get(name, name): value for name, value in stored["settings"].items()}
+        settings = _FORMER_SETTINGS | known
         capture = stored["capture"]
         if settings.get("dropout", 0.0) is None:
             settings = {**settings, "dropout": _former_dropout(self.photographs)}
@@ -101,6 +103,11 @@ class Identity:
         changed += [f"other {name}" for name in names if capture.get(name) != self.capture.get(name)]
         if changed:
             raise InputError(f"{path}: this run was begun otherwise: {'; '.join(changed)}; {_WAY_OUT}")
+
+
+def loss_name(loss: Any) -> str:
+    """Return the name by which a function of one's own is known."""
+    return str(getattr(loss, "__qualname__", type(loss).__qualname__))
 
 
 def sizes_digest(capture: Capture) -> str:

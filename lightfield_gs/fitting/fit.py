@@ -17,10 +17,21 @@ from lightfield_gs.base.assumptions import assume
 from lightfield_gs.base.checks import counted, expect, is_row, real_number, shown
 from lightfield_gs.base.device import choose_device
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DEVICES, MOMENTS_ON, PHOTOS_ON, Device, MomentsOn, PhotosOn, TestEvery
+from lightfield_gs.base.options import (
+    DEVICES,
+    LOSSES,
+    MOMENTS_ON,
+    PHOTOS_ON,
+    Device,
+    LossName,
+    MomentsOn,
+    PhotosOn,
+    TestEvery,
+)
 from lightfield_gs.base.suggestions import nearest
+from lightfield_gs.base.torchrun import is_first
 from lightfield_gs.fitting import checkpoint
-from lightfield_gs.fitting.checkpoint import Identity
+from lightfield_gs.fitting.checkpoint import Identity, loss_name
 from lightfield_gs.fitting.cone import Display, place_display
 from lightfield_gs.fitting.distributed import Group, join_group
 from lightfield_gs.fitting.evaluate import ConeAngles, Scores
@@ -35,6 +46,7 @@ from lightfield_gs.fitting.progress import Progress
 from lightfield_gs.fitting.run import FitState, Run, RunOptions
 from lightfield_gs.fitting.settings import Density, FitSettings, Masks
 from lightfield_gs.fitting.trainer import Trainer
+from lightfield_gs.fitting.vgg16 import fetch_weights
 from lightfield_gs.io.atomic import checked_path, make_folder, remove_left_over, scratch_folder
 from lightfield_gs.io.captures.capture import SMALLEST_PX, Capture, read_capture
 from lightfield_gs.io.captures.photo_files import first_names
@@ -149,7 +161,7 @@ def fit(
     stop: Callable[[], bool] = lambda: False,
     callback: Callable[[FitState], None] | None = None,
     callback_every: int | None = None,
-    loss: Loss | None = None,
+    loss: LossName | Loss = "l1-ssim",
     **settings: Any,
 ) -> FitResult:
     """Fit Gaussians to posed photographs of a static scene (Kerbl et al. 2023).
@@ -188,15 +200,23 @@ def fit(
         stop: function called between steps; True ends the fit.
         callback: function called with a FitState (step, loss, gaussians, scores) now and then, and after the last step.
         callback_every: steps between its calls; None: those between evaluations.
-        loss: function of renders [V,H,W,3], photographs [V,H,W,3] in 0..1, and weights [V,H,W] of their pixels or None,
-            in place of L1 and SSIM. It returns one number, the sum over V, by torch's operations. A fit that goes on
-            needs a function of the same name.
+        loss: "l1-ssim", "wd" (WD-R, which asks for the photographs' texture, see wasserstein.py), or a function of
+            renders [V,H,W,3], photographs [V,H,W,3] in 0..1, and weights [V,H,W] of their pixels or None. The function
+            returns one number, the sum over V, by torch's operations. A fit that goes on needs the same loss, or a
+            function of the same name.
         settings: further fields of FitSettings.
 
     Raises:
-        InputError: there is no capture, a setting is outside its range, or the folder belongs to another fit.
+        InputError: there is no capture, a setting is outside its range, or the folder belongs to another fit; the loss
+            "wd" lacks the weights of VGG-16, and cannot fetch them.
     """
-    chosen = make_settings(steps=steps, cap_max=cap_max, density=density, **settings)
+    own_loss = None if isinstance(loss, str) else loss
+    if own_loss is not None and not callable(own_loss):
+        raise InputError(
+            f"loss: expected {', '.join(LOSSES)}, or a function of renders, photographs and weights, got {shown(loss)}"
+        )
+    named_loss = {"loss": loss} if own_loss is None else {}
+    chosen = make_settings(steps=steps, cap_max=cap_max, density=density, **named_loss, **settings)
     where = None if folder is None else checked_path(folder)
     options = RunOptions(
         where,
@@ -211,8 +231,6 @@ def fit(
         callback,
         callback_every,
     )
-    if loss is not None and not callable(loss):
-        raise InputError(f"loss: expected a function of renders, photographs and weights, got {shown(loss)}")
     for name, word, words in (
         ("device", device, DEVICES),
         ("photos_on", photos_on, PHOTOS_ON),
@@ -220,6 +238,8 @@ def fit(
     ):
         if word not in words:
             raise InputError(f"{name}: expected {', '.join(words)}, got {shown(word)}")
+    if chosen.loss == "wd":
+        fetch_weights(Progress(progress and is_first()).say)
     read, train, test = _read_photographs(capture, test_every, test_names)
     cut = real_number("contribution_cut", contribution_cut, 0.0, 1.0)
     files = Path(gettempdir()) / "lightfield-gs" if where is None else where / "photographs"
@@ -235,7 +255,7 @@ def fit(
         for line in placement.assumptions(photos_on, moments_on):
             assume(line)
         run, normalization, display = _prepare(
-            read, train, test, chosen, options, placement, group, (cone, centre, score_cone), opened, loss
+            read, train, test, chosen, options, placement, group, (cone, centre, score_cone), opened, own_loss
         )
         run.go()
         trainer, pruning, window_scores = run.trainer, None, None
@@ -327,7 +347,7 @@ def _prepare(
     Args:
         cones: cone, centre and score_cone.
         opened: gets the folder of the run's temporary files.
-        loss: in place of L1 and SSIM.
+        loss: in place of that of the settings.
     """
     display, judged, messages = place_display(capture, *cones)
     weights = None if display is None else display.photo_weights(train)
@@ -364,7 +384,7 @@ def _prepare(
         f"fits {len(train)} photographs of {width} x {height} pixels, {len(scored)} held out, on {images.device}: "
         f"{settings.steps} steps, {trainer.state.count} Gaussians to begin with, {settings.cap_max} at most"
     )
-    for line in (*_describe_dropout(settings, len(train)), *messages):
+    for line in (_describe_loss(settings, loss, device), *_describe_dropout(settings, len(train)), *messages):
         progress.say(line)
     return Run(trainer, held_out, identity, options, progress, angles), normalization, display
 
@@ -402,6 +422,16 @@ def _drop_masked_out(
     assume(f"{which}, which count nowhere and are not scored: {first_names(empty)}")
     indices = [index for index in indices if index not in unscored]
     return held_out.select(indices) if held_out is not None and indices else None, indices
+
+
+def _describe_loss(settings: FitSettings, own: Loss | None, device: str) -> str:
+    """Return a line on the loss of a fit; own: in place of that of the settings."""
+    if own is not None:
+        return f"loss: {loss_name(own)}, a function of one's own"
+    if settings.loss == "l1-ssim":
+        return "loss: l1-ssim, of pixels (wd is of texture, too)"
+    slow = "; on a CPU a step takes about 100 times as long as with l1-ssim" if device == "cpu" else ""
+    return f"loss: WD-R, of the texture that VGG-16 sees, and at a low weight L1 and SSIM of the pixels{slow}"
 
 
 def _describe_dropout(settings: FitSettings, photographs: int) -> list[str]:

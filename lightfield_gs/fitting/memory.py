@@ -7,13 +7,16 @@ With N Gaussians of K harmonics, V photographs of H x W pixels in a step, and C 
     parameters     4 N (15 + 3 K): values, and the scales and opacities that are drawn
     moments        8 N (11 + 3 K), the two of Adam
     gradients      4 N (11 + 3 K)
-    work           V (a N + b H W): projecting, sorting and drawing; images, their gradients, derivatives of the loss
+    work           V (a N + (b + c) H W): projecting, sorting and drawing; images, their gradients, derivatives of the
+                   loss; c = 5000 for the loss wd, for the activations of VGG-16
     copies         parameters and moments once more, while the density changes
 
 On a CPU copies take the place of gradients and work; on a GPU a graph of the step holds those.
 
     CUDA    a = 450, b = 90     one H100, 1 M Gaussians at 1600 x 1066
     CPU     a = 130, b = 70     0.02 to 1 M Gaussians at 656 x 492 and 1312 x 984; resident sizes are within 10 %
+    c       4400 on a CPU at 640 x 480; on CUDA by the count of activations, 1420 that stay and 2000 at a time; the
+            memory of the graph takes the place of that of the first step; not measured
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ from lightfield_gs.fitting.settings import FitSettings
 _SHRINK = 0.8  # factor from one size of photographs to the next smaller one
 _NUMBER_BYTES, _RAW_NUMBERS, _DRAWN_NUMBERS = 4, 11, 4  # of a Gaussian, but for its harmonics; see above
 _MOMENTS = 2
+_LOSS_WORK = {"l1-ssim": 0, "wd": 5000}  # of a pixel, see above
 _WORK = {"cuda": (450, 90), "cpu": (130, 70)}  # of a Gaussian and of a pixel
 
 
@@ -73,7 +77,7 @@ def estimate_memory(
     raw = _NUMBER_BYTES * count * (_RAW_NUMBERS + 3 * SH_COEFFICIENTS[settings.sh_degree])
     parameters, moments = raw + _NUMBER_BYTES * count * _DRAWN_NUMBERS, _MOMENTS * raw
     per_gaussian, per_pixel = _WORK["cpu" if device == "cpu" else "cuda"]
-    work = settings.batch_size * (per_gaussian * count + per_pixel * pixels)
+    work = settings.batch_size * (per_gaussian * count + (per_pixel + _LOSS_WORK[settings.loss]) * pixels)
     copies = (max(0, parameters + moments - raw - work), 0) if device == "cpu" else (parameters, moments)
     ahead = (AHEAD + settings.batch_size) * photo
     return MemoryEstimate(photographs * photo, ahead, parameters, moments, raw, work, *copies)

@@ -8,7 +8,7 @@ from typing import Any
 
 from lightfield_gs.base.checks import check_fields, checked_field, expect, is_row, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import DENSITIES, MASKS, Density, Masks
+from lightfield_gs.base.options import DENSITIES, LOSSES, MASKS, Density, LossName, Masks
 
 RECIPE_STEPS = 30_000  # of the published recipes; shorter and longer fits scale their schedules
 _MOST_STEPS = 10_000_000
@@ -101,7 +101,8 @@ class FitSettings:
     exposure: bool = _flag(False)  # fit an affine change of colours for each photograph
     poses: bool = _flag(False)  # refine the cameras' poses
 
-    # The loss: (1 - ssim_lambda) L1 + ssim_lambda (1 - SSIM)
+    # l1-ssim: (1 - ssim_lambda) L1 + ssim_lambda (1 - SSIM); wd: the same at a low weight, see wasserstein.py
+    loss: LossName = _choice("l1-ssim", LOSSES)
     ssim_lambda: float = _real(0.2, 0.0, 1.0)
     # The fraction of Gaussians that a step leaves out; it grows from 0 to this value at the end, see dropout.py
     dropout: float = _real(0.0, 0.0, 0.9)

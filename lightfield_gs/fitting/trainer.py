@@ -8,7 +8,7 @@ do the steps after it, until the host has looked and raised the capacity.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -99,13 +99,15 @@ class Trainer:
             settings: settings of the fit; batch_size counts the photographs of all processes.
             group: the processes that fit together.
             photo_weights: of the photographs, see Schedule.make; None: 1.
-            loss: in place of L1 and SSIM.
+            loss: in place of that of the settings.
 
         Raises:
-            InputError: the processes cannot split a batch equally, or were not given the same.
+            InputError: the processes cannot split a batch equally, or were not given the same; the loss needs weights
+                that are not here.
         """
         self.state, self.images, self.settings, self.group = state, images, settings, group
-        self.device, self._loss = images.device, loss
+        self.device = images.device
+        self._loss_and_gradient = _choose_loss(loss, settings, self.device)
         self.schedule = Schedule.make(settings, images.count, self.device, photo_weights)
         self.counters = StepCounters.start(settings.steps, self.device)
         self.statistics = DensityStatistics(state.count, settings, self.device)
@@ -310,10 +312,7 @@ class Trainer:
         behind = background if exposure is None else exposure.apply(background, chosen)
         exposed = image if exposure is None else exposure.apply(image, chosen)
         photos, weights = self.images.targets(chosen, behind)
-        if self._loss is None:
-            loss, gradient = photo_loss_and_gradient(exposed, photos, weights, self.settings.ssim_lambda)
-        else:
-            loss, gradient = own_loss_and_gradient(self._loss, exposed, photos, weights)
+        loss, gradient = self._loss_and_gradient(exposed, photos, weights)
         loss, gradient = loss / batch_size, gradient / batch_size
         if exposure is None:
             return loss, gradient, loss.new_zeros(0)
@@ -326,3 +325,16 @@ class Trainer:
         torch.maximum(counters.intersections, intersections, out=counters.intersections)
         if capacity is not None:
             counters.overflow |= intersections > capacity
+
+
+def _choose_loss(
+    own: Loss | None, settings: FitSettings, device: torch.device
+) -> Callable[[Tensor, Tensor, Tensor | None], tuple[Tensor, Tensor]]:
+    """Return the function of renders, photographs and weights that returns the loss and its gradient by the renders."""
+    if own is not None:
+        return partial(own_loss_and_gradient, own)
+    if settings.loss == "wd":
+        from lightfield_gs.fitting.wasserstein import load_loss
+
+        return load_loss(settings.ssim_lambda, device)
+    return partial(photo_loss_and_gradient, ssim_lambda=settings.ssim_lambda)

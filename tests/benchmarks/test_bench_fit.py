@@ -41,7 +41,7 @@ def test_scores_in_the_cone_are_those_of_its_photographs_alone(tmp_path):
     inside, outside = (
         scores(fit, Photographs.load(capture, held_out, "cpu", 30.0, "c")) for held_out in ([3, 5], [0, 8])
     )
-    for name in ("psnr_db", "ssim", "gradient_psnr_db"):
+    for name in ("psnr_db", "cc_psnr_db", "ssim", "gradient_psnr_db"):
         assert found[f"cone_{name}"] == pytest.approx(inside[name], rel=1e-6)
         assert found[name] == pytest.approx((inside[name] + outside[name]) / 2, rel=1e-6)
     assert outside["cone_psnr_db"] is None and found["lpips"] is found["cone_lpips"] is None

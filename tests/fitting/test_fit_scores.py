@@ -10,7 +10,7 @@ import torch
 from fit_scene import known_cameras, known_scene, photograph_scene
 
 import lightfield_gs as lf
-from lightfield_gs.fitting.evaluate import Scores, evaluate, weighted_psnr_db
+from lightfield_gs.fitting.evaluate import Scores, evaluate, match_colours, weighted_psnr_db
 from lightfield_gs.fitting.progress import side_by_side
 from lightfield_gs.reference.metrics import ssim
 
@@ -42,6 +42,19 @@ def test_a_plain_error_has_its_psnr():
     image = torch.full((4, 5, 3), 0.6)
     assert weighted_psnr_db(image, image - 0.1, torch.ones(4, 5)) == pytest.approx(20, abs=1e-4)
     assert weighted_psnr_db(image, image, torch.ones(4, 5)) == 100
+
+
+def test_matched_colours_leave_out_exposure_and_masked_pixels():
+    generator = torch.Generator().manual_seed(1)
+    image, weights = 0.2 + 0.5 * torch.rand(6, 7, 3, generator=generator), torch.ones(6, 7)
+    change = torch.tensor([[0.9, 0.05, 0.0], [0.1, 0.8, 0.02], [0.0, 0.03, 1.1]])
+    photo = (image @ change + torch.tensor([0.02, -0.01, 0.03])).clamp(0, 1)
+    photo[2:4], weights[2:4] = 1, 0  # a mask leaves them out
+    matched = match_colours(image, photo, weights)
+    torch.testing.assert_close(matched[weights > 0], photo[weights > 0], atol=1e-3, rtol=0)
+
+    flat = torch.full((6, 7, 3), 0.25)  # of one colour: any change to one colour suits, none is singular
+    torch.testing.assert_close(match_colours(flat, 2 * flat, torch.ones(6, 7)), 2 * flat, atol=1e-3, rtol=0)
 
 
 def test_a_smaller_photograph_is_judged_in_its_own_frame():

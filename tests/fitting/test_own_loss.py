@@ -53,7 +53,7 @@ def test_a_fit_goes_on_with_the_loss_that_it_began_with(capture, tmp_path):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"loss": 3}, "loss: expected a function"),
+        ({"loss": 3}, "loss: expected l1-ssim, wd, or a function"),
         ({"loss": lambda images, photos, weights: 0.0}, r"loss: expected one number .* got 0\.0"),
         ({"loss": lambda images, photos, weights: (images - photos) ** 2}, r"got a tensor \[1, 32, 48, 3\]"),
         ({"callback": "print"}, "callback: expected a function"),
