@@ -183,7 +183,8 @@ def camera_gradients(cameras: Sequence[Tensor], g_poses: Tensor, g_optics: Tenso
         g_poses: As in ImageGradients; without images it stands for zeros, and so does g_optics.
         g_optics: Likewise.
     """
-    found = (g_poses, *g_optics.split([cameras[1].shape[-1], cameras[2].shape[-1]], -1))
+    # Copies: outputs of an operator may not share memory
+    found = (g_poses, *torch.split_with_sizes_copy(g_optics, [cameras[1].shape[-1], cameras[2].shape[-1]], -1))
     shaped = [g.reshape(t.shape) if len(g) else torch.zeros_like(t) for t, g in zip(cameras, found)]
     return shaped[0], shaped[1], shaped[2]
 
