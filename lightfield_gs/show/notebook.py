@@ -18,6 +18,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.content import thinned
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.visibility import check_single
 from lightfield_gs.rasterizer.images import RenderedImages
 from lightfield_gs.scene.axes import DEFAULT_UP
 from lightfield_gs.scene.cameras import Cameras
@@ -125,7 +126,16 @@ class NotebookPicture:
         return cls(drawn.frames, "; ".join([repr(gaussians), *notes]))
 
     @classmethod
-    def of_views(cls, gaussians: Gaussians, panel: Panel, rig: Rig, frames: int = 24) -> NotebookPicture:
+    def of_views(
+        cls,
+        gaussians: Gaussians,
+        panel: Panel,
+        rig: Rig,
+        frames: int = 24,
+        *,
+        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        antialiased: bool = False,
+    ) -> NotebookPicture:
         """Return what a panel shows of a scene, from the left-most view to the right-most; one frame: the middle view.
 
         Args:
@@ -133,13 +143,16 @@ class NotebookPicture:
             panel: The panel.
             rig: Its cameras.
             frames: Number of views, spread over the cone.
+            background: As in encode.
+            antialiased: As in encode.
 
         Raises:
             InputError: as in encode.
         """
+        check_single(gaussians)
         some = thinned(gaussians.detach(), orbit.MOST_GAUSSIANS)
         one = replace(rig, cone_deg=0.0) if frames == 1 else rig
-        views = look_around(some, panel, one, frames=frames, frame_pixels=_FRAME_PIXELS)
+        views = look_around(some, panel, one, background, antialiased, frames=frames, frame_pixels=_FRAME_PIXELS)
         cone_deg = panel.cone_deg if rig.cone_deg is None else rig.cone_deg
         notes = orbit.thinning_notes(gaussians, some)
         facts = f"{gaussians!r} on panel {panel.name}: {panel.views} views over {cone_deg:.4g} degrees"
