@@ -111,7 +111,13 @@ class FitResult:
             rig = shown.rig.relative_to(self.gaussians.origin)
             colour = self.settings.background or (1.0, 1.0, 1.0)
             drawn = NotebookPicture.of_views(
-                self.gaussians, shown.panel, rig, frames, background=colour, antialiased=self.settings.antialiased
+                self.gaussians,
+                shown.panel,
+                rig,
+                frames,
+                background=colour,
+                antialiased=self.settings.antialiased,
+                name=None if self.display is not None else f"views round photograph {shown.cone.name}",
             )
         facts = f"fit of {self.steps} steps{', stopped' if self.stopped else ''}"
         if self.scores is not None:

@@ -105,7 +105,7 @@ def test_a_fit_shows_its_panel_and_its_scores():
     scene = replace(scene, origin=(9.0, 0.0, 0.0))
     fitted = FitResult(scene, FitSettings(), 70, scores, [], True, display)
     facts = "fit of 70 steps, stopped, 31.00 dB and SSIM 0.850 on 2 held-out photographs; Gaussians(1, "
-    assert facts in fitted._repr_html_() and "on panel small" in fitted._repr_html_()
+    assert facts in fitted._repr_html_() and "on panel small, whose 5 views span 40 degrees" in fitted._repr_html_()
     frames = fitted.show().frames
     expected = NotebookPicture.of_views(scene, panel, rig, background=(0.0, 0.0, 0.0)).frames  # that of the settings
     assert len(frames) == NotebookPicture.FRAMES and np.abs(np.subtract(frames, expected, dtype=int)).max() <= 1
