@@ -131,7 +131,8 @@ def render(
     """Render ordinary images of Gaussians (Kerbl et al. 2023).
 
     The images are differentiable once, in the five fields of the Gaussians, features, colors, covars, the background
-    and the cameras' poses (world_to_camera and world_to_camera_end).
+    and the cameras: their poses (world_to_camera and world_to_camera_end), focal_px, principal_point_px and
+    jacobian_limits. Where limits are None, they follow from the other two, and so do their gradients.
 
     Args:
         gaussians: [N, ...] with cameras [C, ...]; or [B, N, ...] with cameras [B, C, ...], or with the same cameras
@@ -253,11 +254,10 @@ def _render_by_model(
         check_values(gaussians)  # on CUDA looking at values would wait for the device
     like, *others = gaussians.fields().values()
     given = options.features, options.colors, options.covars
-    refuse_tangents(like, *others, background, *cameras.ends().values(), *given)
-    if torch.is_grad_enabled() and any(t.requires_grad for t in (cameras.intrinsics(), cameras.limits())):
+    refuse_tangents(like, *others, background, *cameras.ends().values(), cameras.intrinsics(), cameras.limits(), *given)
+    if torch.is_grad_enabled() and cameras.distortion is not None and cameras.distortion.requires_grad:
         raise InputError(
-            "cameras: focal_px and principal_point_px (K) and jacobian_limits have no gradients, and one of them "
-            "requires it: detach() it, or use torch.no_grad()"
+            "cameras: distortion has no gradients, and it requires one: detach() it, or use torch.no_grad()"
         )
     batched = like.dim() == 3
     shared = cameras.world_to_camera.dim() == 3  # by all sets of a batch

@@ -127,7 +127,7 @@ def test_the_backward_operators_are_registered_as_torch_wants_them():
     moving, fixed = dense_inputs(2, 2, 6, 1, 12, 9)
     moving = [t.detach() for t in moving]
     drawn = OPERATORS.render_images_with_state(*moving, *fixed)
-    given = (*moving, *fixed, False, 0, *drawn, *(t + 1 for t in drawn[:3]), 4, True)
+    given = (*moving, *fixed, False, 0, *drawn, *(t + 1 for t in drawn[:3]), 4, True, True)
     torch.library.opcheck(OPERATORS.render_images_backward, given)
     moving, fixed, _ = lens_inputs("default lens", 6, 1, **SMALL)
     moving = [t.detach() for t in moving]
