@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from lightfield_gs.models import SplatterNet
     from lightfield_gs.panels.comfort import DepthReport, depth_report
     from lightfield_gs.panels.look import Look
+    from lightfield_gs.panels.optics import Optics
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.quilt import QuiltLayout
     from lightfield_gs.panels.rig import Rig
@@ -43,6 +44,7 @@ _HOMES = {
     "InputError": "base.errors",
     "Look": "panels.look",
     "NotebookPicture": "show.notebook",
+    "Optics": "panels.optics",
     "Panel": "panels.panel",
     "PhotoEncoder": "photo.encoder",
     "Quality": "rasterizer.quality",
@@ -76,6 +78,7 @@ __all__ = [
     "InputError",
     "Look",
     "NotebookPicture",
+    "Optics",
     "Panel",
     "PhotoEncoder",
     "Quality",

@@ -14,6 +14,7 @@ REASONS = {"gpu", "network", "blender", "browser", "kernel", "photographs"}
 
 _BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _MARK = re.compile(r"<!-- needs: ([a-z]+) -->\n\Z")
+_INCLUDED = re.compile(r'--8<-- "([^"]+)"\n')
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
 _TOP_FOLDERS = "benchmarks|csrc|lightfield_gs|training|configs|tests|notebooks|docs|cmake"
 
@@ -25,6 +26,12 @@ class Block:
     language: str
     text: str
     needs: str | None
+
+    @property
+    def included(self) -> str | None:
+        """The path of the file whose text the block has, if it has no text of its own."""
+        found = _INCLUDED.fullmatch(self.text)
+        return found and found[1]
 
 
 def blocks(document: Path) -> list[Block]:

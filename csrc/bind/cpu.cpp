@@ -29,14 +29,14 @@ void bind_project(py::module_ m) {
       "project_images_backward",
       [](const G& gaussians, const Cameras<T>& cameras, const Splats<T>& splats, Address first_intersection,
          Address intersection_gradients, const G& out, Address screen, bool absolute, Address g_world_to_camera,
-         int threads) {
+         Address g_optics, int threads) {
         project_images_backward<T>(read_only(gaussians), cameras, splats, at<int64_t>(first_intersection),
                                    at<T>(intersection_gradients), out, at<T>(screen), absolute,
-                                   at<T>(g_world_to_camera), threads);
+                                   at<T>(g_world_to_camera), at<T>(g_optics), threads);
       },
       NoGil(), py::arg("gaussians"), py::arg("cameras"), py::arg("splats"), py::arg("first_intersection"),
       py::arg("intersection_gradients"), py::arg("out"), py::arg("screen"), py::arg("absolute"),
-      py::arg("g_world_to_camera"), py::arg("threads"));
+      py::arg("g_world_to_camera"), py::arg("g_optics"), py::arg("threads"));
   m.def(
       "project_direct",
       [](const G& gaussians, const Camera<double>& rig, const Lens& lens, const Quality& quality, double tolerance,
@@ -47,12 +47,12 @@ void bind_project(py::module_ m) {
   m.def(
       "project_direct_backward",
       [](const G& gaussians, const Camera<double>& rig, const Lens& lens, const Splats<T>& splats,
-         Address first_intersection, Address intersection_gradients, const G& out, int threads) {
+         Address first_intersection, Address intersection_gradients, const G& out, Address g_rig, int threads) {
         project_direct_backward<T>(read_only(gaussians), rig, lens, splats, at<int64_t>(first_intersection),
-                                   at<T>(intersection_gradients), out, threads);
+                                   at<T>(intersection_gradients), out, at<double>(g_rig), threads);
       },
       NoGil(), py::arg("gaussians"), py::arg("rig"), py::arg("lens"), py::arg("splats"), py::arg("first_intersection"),
-      py::arg("intersection_gradients"), py::arg("out"), py::arg("threads"));
+      py::arg("intersection_gradients"), py::arg("out"), py::arg("g_rig"), py::arg("threads"));
 }
 
 template <class T>
@@ -123,14 +123,14 @@ void bind_composite_direct(py::module_ m) {
       "composite_direct_backward",
       [](const Splats<T>& splats, const Bins& bins, const Lens& lens, Address background, Address image,
          Address gradient, Address first_intersection, Address intersection_gradients, Address band_background,
-         int threads) {
+         Address g_offsets, int threads) {
         return composite_direct_backward<T>(splats, bins, lens, at<T>(background), at<T>(image), at<T>(gradient),
                                             at<int64_t>(first_intersection), at<T>(intersection_gradients),
-                                            at<T>(band_background), threads);
+                                            at<T>(band_background), at<T>(g_offsets), threads);
       },
       NoGil(), py::arg("splats"), py::arg("bins"), py::arg("lens"), py::arg("background"), py::arg("image"),
       py::arg("gradient"), py::arg("first_intersection"), py::arg("intersection_gradients"), py::arg("band_background"),
-      py::arg("threads"));
+      py::arg("g_offsets"), py::arg("threads"));
 }
 
 template <class T>

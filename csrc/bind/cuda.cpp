@@ -63,12 +63,12 @@ void bind_project(py::module_ m) {
   m.def(
       "project_images_backward",
       [](const G& gaussians, const Cameras<float>& cameras, Address sums, const G& out, Address screen, bool absolute,
-         Address camera_partials, Address stream) {
+         Address camera_partials, bool optics, Address stream) {
         cuda::project_images_backward(read_only(gaussians), cameras, at<float>(sums), out, at<float>(screen), absolute,
-                                      at<float>(camera_partials), at<void>(stream));
+                                      at<float>(camera_partials), optics, at<void>(stream));
       },
       NoGil(), py::arg("gaussians"), py::arg("cameras"), py::arg("sums"), py::arg("out"), py::arg("screen"),
-      py::arg("absolute"), py::arg("camera_partials"), py::arg("stream"));
+      py::arg("absolute"), py::arg("camera_partials"), py::arg("optics"), py::arg("stream"));
   m.def(
       "sum_intersections",
       [](int64_t splats, Address intersection_ranges, bool absolute, Address intersection_gradients, Address sums,

@@ -35,6 +35,8 @@ void bind_constants(py::module_ m) {
   m.attr("COLOUR_STRIDE") = kColourStride;
   m.attr("CELL_SUBPIXELS") = kCellPeriod * kRowPeriod;
   m.attr("COMPENSATION_FIELDS") = kCompensationFields;
+  m.attr("CAMERA_OPTICS") = int(kCameraOptics);
+  m.attr("RIG_OPTICS") = int(kRigOptics);
 }
 
 Lens make_lens(int64_t width_px, int64_t height_px, int64_t views, uint64_t phase0, uint64_t phase_x, uint64_t phase_y,

@@ -54,11 +54,19 @@ struct ColourCircle {
     place = x / unit, distance = away / unit;
   }
 
-  // The gradient of the mean, from the gradients of foot, place and distance.
+  // The gradient of the mean, from the gradients of foot, place and distance. That of the rig's centre is minus this.
   LFGS_HD glm::vec<3, R> backward(const glm::vec<3, R>& g_foot, R g_place, R g_distance) const {
     const glm::vec<3, R> turned = g_foot - glm::dot(g_foot, foot) * foot - glm::dot(g_foot, along) * along;
     return (turned / distance + g_place * along + g_distance * foot) / unit;
   }
+};
+
+// The gradients of what a colour reads of a circle. Those of along and foot count as far as both stay unit vectors at a
+// right angle.
+template <class R>
+struct CircleGradient {
+  glm::vec<3, R> along, foot;
+  R place, distance;
 };
 
 // Sine, cosine and weights of node j of kCircleTerms nodes round the circle. A term of a colour is the sum over the
@@ -98,20 +106,45 @@ LFGS_HD void circle_colour(int degree, const T* sh, const ColourCircle<R>& circl
 }
 
 // Its backward pass, from the sums of samples as kAlongSum says: adds to g_sh, and returns the gradient of the mean.
+// Write the gradient of the circle to `g_circle` unless it is null.
 template <class R, class T, class G, class S>
 LFGS_HD glm::vec<3, R> circle_colour_backward(int degree, const T* sh, const ColourCircle<R>& circle, const S* sums,
-                                              G* g_sh) {
-  glm::vec<3, R> g_foot(0);
+                                              G* g_sh, CircleGradient<R>* g_circle = nullptr) {
+  glm::vec<3, R> g_foot(0), g_along(0);
   LFGS_NO_UNROLL
   for (int j = 0; j < kCircleTerms; ++j) {
     const CircleNode<R> node(j);
     glm::vec<3, R> g_value(0);
     for (int m = 0; m < kCircleTerms; ++m)
       for (int c = 0; c < 3; ++c) g_value[c] += node.weights[m] * R(sums[3 * m + c]);
-    g_foot += node.cosine * sh_colour_towards_backward(degree, sh, node.direction(circle), g_value, g_sh);
+    const glm::vec<3, R> g_direction = sh_colour_towards_backward(degree, sh, node.direction(circle), g_value, g_sh);
+    g_foot += node.cosine * g_direction;
+    if (g_circle) g_along -= node.sine * g_direction;
   }
-  return circle.backward(g_foot, -R(sums[kAlongSum]) / circle.distance, -R(sums[kAcrossSum]) / circle.distance);
+  const R g_place = -R(sums[kAlongSum]) / circle.distance, g_distance = -R(sums[kAcrossSum]) / circle.distance;
+  if (g_circle) *g_circle = {g_along, g_foot, g_place, g_distance};
+  return circle.backward(g_foot, g_place, g_distance);
 }
+
+// The gradients of a rig's x-axis, Camera::right(), and of its sweep, from that of the circle of a mean.
+template <class R>
+struct LineGradient {
+  glm::vec<3, R> right;
+  R sweep;
+
+  LFGS_HD LineGradient(const Camera<R>& rig, const ColourCircle<R>& circle, const CircleGradient<R>& g) {
+    // A turn of `along` by d moves the foot of the perpendicular: x = mean . along, across = mean - x along
+    const R length = glm::length(rig.right()), x = circle.place * circle.unit, away = circle.distance * circle.unit;
+    const glm::vec<3, R> to_mean = x * circle.along + away * circle.foot;
+    const R g_x = g.place / circle.unit, g_away = g.distance / circle.unit;
+    const R foot_foot = glm::dot(g.foot, circle.foot), foot_along = glm::dot(g.foot, circle.along);
+    glm::vec<3, R> g_along = g.along + g_x * to_mean - g_away * x * circle.foot;
+    g_along += (x * (foot_foot * circle.foot - g.foot) - foot_along * to_mean) / away;
+    const R g_unit = -(g.place * circle.place + g.distance * circle.distance) / circle.unit;
+    right = (g_along - glm::dot(g_along, circle.along) * circle.along) / length + g_unit * rig.sweep * circle.along;
+    sweep = g_unit * length;
+  }
+};
 
 // t and h of the camera at s.
 template <class R>

@@ -81,10 +81,12 @@ struct CurvedProjection : std::conditional_t<kRolling, Reading<R>, StillReading<
     return s;
   }
 
-  // Add to `out`, `camera_out` and `motion_out` the gradients that follow from `s`, the gradient of the splat. Of a
-  // rolling shutter `g_eye` is the gradient of where the camera stands when it reads the mean; else it is not read.
+  // Add to `out`, `camera_out`, `motion_out` and, unless it is null, `optics_out` the gradients that follow from `s`,
+  // the gradient of the splat. Of a rolling shutter `g_eye` is the gradient of where the camera stands when it reads
+  // the mean; else it is not read.
   LFGS_HD void backward(const Camera<R>& moving, const Shape<R>& shape, const Splat<R>& s, const glm::vec<3, R>& g_eye,
-                        Shape<R>& out, CameraGradient<R>& camera_out, MotionGradient<R>& motion_out) const {
+                        Shape<R>& out, CameraGradient<R>& camera_out, MotionGradient<R>& motion_out,
+                        OpticsGradient<R>* optics_out = nullptr) const {
     if (!drawn) return;
     out.opacity += s.log2_opacity / (shape.opacity * R(kLn2));
 
@@ -111,6 +113,14 @@ struct CurvedProjection : std::conditional_t<kRolling, Reading<R>, StillReading<
       g_u += u_by_time * Read::speed, g_v += v_by_time * Read::speed;  // now of the rows at a fixed time
     }
 
+    // To the optics: u - cx, v - cy and their derivatives are proportional to fx and fy
+    if (optics_out) {
+      OpticsGradient<R>& o = *optics_out;
+      o[kFx] += (s.u0 * (place.u.value - camera.cx) + glm::dot(g_u, u_row)) / camera.fx;
+      o[kFy] += (s.v0 * (place.v.value - camera.cy) + glm::dot(g_v, v_row)) / camera.fy;
+      o[kCx] += s.u0, o[kCy] += s.v0;
+    }
+
     // To the mean in camera axes, at a fixed time
     glm::vec<3, R> g_t =
         s.u0 * place.u.gradient + s.v0 * place.v.gradient + place.u.second * g_u + place.v.second * g_v;
@@ -120,6 +130,14 @@ struct CurvedProjection : std::conditional_t<kRolling, Reading<R>, StillReading<
       const R g_excess_x = camera.fx * g_u.z, g_excess_y = camera.fy * g_v.z;
       g_t += glm::vec<3, R>(g_excess_x * excess_x.by_axis, g_excess_y * excess_y.by_axis,
                             g_excess_x * excess_x.by_z + g_excess_y * excess_y.by_z);
+      if (optics_out) {
+        OpticsGradient<R>& o = *optics_out;
+        o[kOffset] += g_excess_x * excess_x.by_axis;
+        o[kXLow] -= excess_x.value < 0 ? g_excess_x / t.z : R(0);
+        o[kXHigh] -= excess_x.value > 0 ? g_excess_x / t.z : R(0);
+        o[kYLow] -= excess_y.value < 0 ? g_excess_y / t.z : R(0);
+        o[kYHigh] -= excess_y.value > 0 ? g_excess_y / t.z : R(0);
+      }
 
       // The speed is turn x t - way, and rows in time also depend on the gradient of the coordinate that is read
       const glm::vec<3, R>& speed = Read::speed;
@@ -132,6 +150,16 @@ struct CurvedProjection : std::conditional_t<kRolling, Reading<R>, StillReading<
                  glm::dot(g_eye, glm::transpose(camera.rotation) * Read::way);
       for (int k = 0; k < 3; ++k) g_time += glm::dot(g_factor[k], glm::cross(moving.turn, factor[k]));
       g_t += g_time * Read::by_mean;
+      if (optics_out) {
+        const bool columns = camera.shutter == Shutter::kColumns;
+        const R g_value = g_time * Read::per_px;  // of the coordinate that is read
+        const R focal = columns ? camera.fx : camera.fy, centre = columns ? camera.cx : camera.cy;
+        const Jet<R>& read = Read::along(place);
+        const R g_focal = (g_value * (read.value - centre) + glm::dot(g_read, read.gradient)) / focal;
+        OpticsGradient<R>& o = *optics_out;
+        o[kFx] += columns ? g_focal : R(0), o[kCx] += columns ? g_value : R(0);
+        o[kFy] += columns ? R(0) : g_focal, o[kCy] += columns ? R(0) : g_value;
+      }
 
       // To the Gaussian, to the camera at its time, whose centre is -R^T t, and to the motion
       CameraGradient<R> at;
@@ -158,27 +186,24 @@ LFGS_HD Splat<R> projected(const Camera<R>& camera, const Shape<R>& shape, Compe
   return splat;
 }
 
-// Add to `out`, `camera_out` and `motion_out` the gradients that follow from `g_splat`, the gradient of the splat of
-// one camera of any model; see CurvedProjection for `g_eye`.
+// Add to `out`, `camera_out`, `motion_out` and, unless it is null, `optics_out` the gradients that follow from
+// `g_splat`, the gradient of the splat of one camera of any model; see CurvedProjection for `g_eye`.
 template <class R>
 LFGS_HD void projected_backward(const Camera<R>& camera, const Shape<R>& shape, Splat<R> g_splat,
                                 const glm::vec<3, R>& g_eye, Shape<R>& out, CameraGradient<R>& camera_out,
-                                MotionGradient<R>& motion_out) {
-  if (camera.shutter != Shutter::kGlobal) {
-    CurvedProjection<R, true>(camera, shape).backward(camera, shape, g_splat, g_eye, out, camera_out, motion_out);
-    return;
-  }
-  if (camera.model != CameraModel::kPinhole) {
-    CurvedProjection<R, false>(camera, shape).backward(camera, shape, g_splat, g_eye, out, camera_out, motion_out);
-    return;
-  }
+                                MotionGradient<R>& motion_out, OpticsGradient<R>* optics_out) {
+  auto curved = [&](const auto& projection) {
+    projection.backward(camera, shape, g_splat, g_eye, out, camera_out, motion_out, optics_out);
+  };
+  if (camera.shutter != Shutter::kGlobal) return curved(CurvedProjection<R, true>(camera, shape));
+  if (camera.model != CameraModel::kPinhole) return curved(CurvedProjection<R, false>(camera, shape));
   const Projection<R> projection(camera, shape);
   if (!projection.drawn) return;
   if (camera.compensated()) {
     const Compensation<R> g_compensation = projection.compensate_backward(camera, g_splat);
-    projection.template backward<true>(camera, shape, g_splat, out, camera_out, g_compensation);
+    projection.template backward<true>(camera, shape, g_splat, out, camera_out, g_compensation, optics_out);
   } else {
-    projection.backward(camera, shape, g_splat, out, camera_out);
+    projection.backward(camera, shape, g_splat, out, camera_out, {}, optics_out);
   }
 }
 

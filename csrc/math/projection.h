@@ -73,6 +73,34 @@ struct CameraGradient {
   glm::vec<3, R> translation{R(0)};
 };
 
+// The numbers of a Camera that are no pose: its intrinsics and limits and, of a rig, three more.
+enum Optic : int {
+  kFx,
+  kFy,
+  kCx,
+  kCy,
+  kXLow,
+  kXHigh,
+  kYLow,
+  kYHigh,
+  kOffset,
+  kCameraOptics,
+  kSweep = kCameraOptics,
+  kInverseZeroDepth,
+  kAperture,
+  kRigOptics
+};
+template <class R>
+struct OpticsGradient {
+  R numbers[kRigOptics] = {};
+
+  LFGS_HD R& operator[](Optic optic) { return numbers[optic]; }
+  OpticsGradient& operator+=(const OpticsGradient& other) {
+    for (int k = 0; k < kRigOptics; ++k) numbers[k] += other.numbers[k];
+    return *this;
+  }
+};
+
 // A Gaussian in the axes of a camera, whatever the camera's model, and its backward pass.
 template <class R>
 struct Body {
@@ -233,11 +261,12 @@ struct Projection : Body<R> {
     return {half / D, 0, 0};
   }
 
-  // Add to `out` and `camera_out` the gradients that follow from `s`, the gradient of the splat. For a compensated
-  // splat add also those from `g_D`, the gradient of D before compensate() divides it.
+  // Add to `out`, `camera_out` and, unless it is null, `optics_out` the gradients that follow from `s`, the gradient of
+  // the splat. For a compensated splat add also those from `g_D`, the gradient of D before compensate() divides it.
   template <bool kCompensated = false>
   LFGS_HD void backward(const Camera<R>& camera, const Shape<R>& shape, const Splat<R>& s, Shape<R>& out,
-                        CameraGradient<R>& camera_out, const Compensation<R>& g_D = {}) const {
+                        CameraGradient<R>& camera_out, const Compensation<R>& g_D = {},
+                        OpticsGradient<R>* optics_out = nullptr) const {
     if (!drawn) return;
     out.opacity += s.log2_opacity / (shape.opacity * R(kLn2));
 
@@ -289,6 +318,27 @@ struct Projection : Body<R> {
              camera.fy * ky * g_e + camera.sweep * camera.fx * (2 * iz * g_g - s.du) + camera.fx * t.x * s.u0 +
              camera.fy * t.y * s.v0;
     if constexpr (kCompensated) g_iz += g_iz_of_aperture;
+    if (optics_out) {
+      OpticsGradient<R>& o = *optics_out;
+      const R shift = camera.inverse_zero_depth - iz, of_fan = s.du * shift + g_g * iz * iz;
+      o[kFx] += s.u0 * t.x * iz + g_a * iz - g_b * (kx - camera.offset * iz) * iz + camera.sweep * of_fan;
+      o[kFy] += s.v0 * t.y * iz + g_c * iz - g_e * ky * iz;
+      o[kCx] += s.u0, o[kCy] += s.v0;
+      o[kXLow] += !x_free && kx == camera.x_low ? g_kx : R(0);
+      o[kXHigh] += !x_free && kx != camera.x_low ? g_kx : R(0);
+      o[kYLow] += !y_free && ky == camera.y_low ? g_ky : R(0);
+      o[kYHigh] += !y_free && ky != camera.y_low ? g_ky : R(0);
+      o[kOffset] += (x_free ? g_kx * iz : R(0)) + camera.fx * iz * iz * g_b;
+      o[kSweep] += camera.fx * of_fan;
+      o[kInverseZeroDepth] += camera.sweep * camera.fx * s.du;
+      if constexpr (kCompensated) {
+        const R twice = 2 * camera.fx * camera.aperture * g_aperture;  // of fx times aperture, by its length
+        const R spread = shift * shift + iz * iz * iz * iz * V.zz;
+        o[kFx] += twice * camera.aperture * spread;
+        o[kAperture] += twice * camera.fx * spread;
+        o[kInverseZeroDepth] += twice * camera.fx * camera.aperture * shift;
+      }
+    }
     glm::vec<3, R> g_t(camera.fx * iz * s.u0, camera.fy * iz * s.v0, s.depth);
     if (x_free) g_t.x += g_kx * iz, g_iz += g_kx * (t.x + camera.offset);
     if (y_free) g_t.y += g_ky * iz, g_iz += g_ky * t.y;

@@ -176,15 +176,18 @@ double project_direct(const Gaussians<const T>& gaussians, const Camera<double>&
 
 // screen [I, N, 2], or null, receives the gradients of the splats' centres, u0 and v0 in pixels, 0 where nothing is
 // drawn. With absolute gradients it is [I, N, 4], and these come last. first_intersection may be null: then
-// intersection_gradients are the sums [I, N, kSplatSums] of sum_intersections.
+// intersection_gradients are the sums [I, N, kSplatSums] of sum_intersections. g_optics [I, kCameraOptics], or null,
+// receives the gradients of intrinsics and limits.
 template <class T>
 void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& splats,
                              const int64_t* first_intersection, const T* intersection_gradients,
-                             const Gaussians<T>& out, T* screen, bool absolute, T* g_world_to_camera, int threads);
+                             const Gaussians<T>& out, T* screen, bool absolute, T* g_world_to_camera, T* g_optics,
+                             int threads);
+// g_rig [16 + kRigOptics], or null, receives the gradients of the rig: of world_to_camera, then of its optics.
 template <class T>
 void project_direct_backward(const Gaussians<const T>& gaussians, const Camera<double>& rig, const Lens& lens,
                              const Splats<T>& splats, const int64_t* first_intersection,
-                             const T* intersection_gradients, const Gaussians<T>& out, int threads);
+                             const T* intersection_gradients, const Gaussians<T>& out, double* g_rig, int threads);
 
 // --- order: sorts by depth, nearest first, ties by index. drawn[i] of the splats of image i are drawn; order[i] begins
 // with them, and only they count.
@@ -245,13 +248,14 @@ template <class T>
 Counters composite_sorted(const Splats<T>& splats, Bins bins, const Cameras<T>& cameras, const SubpixelLists& lists,
                           const T* background, T* out, uint8_t* out8, int threads);
 
-// The same for a rig: the camera of each sub-pixel follows from the lens.
+// The same for a rig: the camera of each sub-pixel follows from the lens. g_offsets [H, W, 3], or null, receives the
+// gradient of the normalized offset s of each sub-pixel's camera, by image channel.
 template <class T>
 Counters composite_direct(const Splats<T>& splats, Bins bins, const Lens& lens, const Quality& quality,
                           const T* background, T* out, uint8_t* out8, int threads);
 template <class T>
 Counters composite_direct_backward(const Splats<T>& splats, Bins bins, const Lens& lens, const T* background,
                                    const T* image, const T* gradient, const int64_t* first_intersection,
-                                   T* intersection_gradients, T* band_background, int threads);
+                                   T* intersection_gradients, T* band_background, T* g_offsets, int threads);
 
 }  // namespace lfgs

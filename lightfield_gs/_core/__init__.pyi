@@ -7,7 +7,7 @@ import typing
 from . import float32
 from . import float64
 from . import cuda
-__all__: list[str] = ['BAND_ROWS', 'Bins', 'CELL_SUBPIXELS', 'COLOUR_STRIDE', 'COLOUR_SUM', 'COMPENSATION_FIELDS', 'Counters', 'DROPOUT_PURPOSE', 'FEATURE_GRADIENT', 'LOG2_MIN_ALPHA', 'Lens', 'MOST_LOGIT', 'MOST_LOG_SCALE', 'NEAR_DEPTH', 'NOISE_PURPOSE', 'PRUNED', 'Quality', 'RampLook', 'RampWindow', 'Rig', 'SPLAT_DEPTH_INDEX', 'SPLAT_FIELDS', 'SPLAT_PLACE_INDICES', 'SPLAT_REACH_INDEX', 'SPLAT_SHAPE_INDICES', 'STEP_COLUMNS', 'SUBPIXEL_BLOCK', 'Sheet', 'SheetLook', 'SubpixelLists', 'SubpixelTile', 'Surface', 'SurfaceLook', 'ViewMap', 'WeaveFan', 'WeaveWindow', 'band_count', 'cuda', 'float32', 'float64', 'image_intersection_gradient_size', 'intersection_gradient_size', 'philox4x32', 'photo_loss_partials', 'plan_sorted_count', 'plan_sorted_fill', 'set_simd_target', 'sheet', 'simd_targets', 'surface', 'uniforms', 'version', 'weave_float32', 'weave_uint16', 'weave_uint8']
+__all__: list[str] = ['BAND_ROWS', 'Bins', 'CAMERA_OPTICS', 'CELL_SUBPIXELS', 'COLOUR_STRIDE', 'COLOUR_SUM', 'COMPENSATION_FIELDS', 'Counters', 'DROPOUT_PURPOSE', 'FEATURE_GRADIENT', 'LOG2_MIN_ALPHA', 'Lens', 'MOST_LOGIT', 'MOST_LOG_SCALE', 'NEAR_DEPTH', 'NOISE_PURPOSE', 'PRUNED', 'Quality', 'RIG_OPTICS', 'RampLook', 'RampWindow', 'Rig', 'SPLAT_DEPTH_INDEX', 'SPLAT_FIELDS', 'SPLAT_PLACE_INDICES', 'SPLAT_REACH_INDEX', 'SPLAT_SHAPE_INDICES', 'STEP_COLUMNS', 'SUBPIXEL_BLOCK', 'Sheet', 'SheetLook', 'SubpixelLists', 'SubpixelTile', 'Surface', 'SurfaceLook', 'ViewMap', 'WeaveFan', 'WeaveWindow', 'band_count', 'cuda', 'float32', 'float64', 'image_intersection_gradient_size', 'intersection_gradient_size', 'philox4x32', 'photo_loss_partials', 'plan_sorted_count', 'plan_sorted_fill', 'set_simd_target', 'sheet', 'simd_targets', 'surface', 'uniforms', 'version', 'weave_float32', 'weave_uint16', 'weave_uint8']
 class Lens:
     def __init__(self, *, width_px: int, height_px: int, views: int, phase0: int, phase_x: int, phase_y: int, line_number: float, slant_tan: float, phase: float, bgr: bool, continuous: bool, offset_start: float, offset_step: float, cell_phases: collections.abc.Sequence[int] = [], cell_channels: collections.abc.Sequence[int] = []) -> None:
         ...
@@ -137,6 +137,7 @@ def weave_uint16(pixels: int, first: int, own: int, held: int, height_px: int, w
 def weave_uint8(pixels: int, first: int, own: int, held: int, height_px: int, width_px: int, window: WeaveWindow, fan: WeaveFan, out: int, threads: int) -> None:
     ...
 BAND_ROWS: int
+CAMERA_OPTICS: int
 CELL_SUBPIXELS: int
 COLOUR_STRIDE: int
 COLOUR_SUM: int
@@ -149,6 +150,7 @@ MOST_LOG_SCALE: float
 NEAR_DEPTH: float
 NOISE_PURPOSE: int
 PRUNED: int
+RIG_OPTICS: int
 SPLAT_DEPTH_INDEX: int
 SPLAT_FIELDS: int
 SPLAT_PLACE_INDICES: tuple

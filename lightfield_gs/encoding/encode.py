@@ -17,9 +17,11 @@ from lightfield_gs.base.options import METHODS, ONLY_FOR, OUTPUTS, VIEWS, Method
 from lightfield_gs.encoding.classic import classic_with_gradients, encode_classic
 from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
+from lightfield_gs.panels.optics import LENS, Optics
 from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 from lightfield_gs.panels.rig import Rig, lenticular_camera, view_aperture
 from lightfield_gs.rasterizer.direct import DirectRender, render_direct
+from lightfield_gs.rasterizer.direct_optics import render_with_optics
 from lightfield_gs.rasterizer.lenticular_camera import PINHOLE
 from lightfield_gs.rasterizer.operators import refuse_tangents
 from lightfield_gs.rasterizer.quality import Quality
@@ -55,6 +57,7 @@ def encode(
     antialiased: bool = False,
     view_filter: float = 0.0,
     device: str | None = None,
+    optics: Optics | None = None,
 ) -> Tensor:
     """Draw the image [H, W, 3] of a scene for a panel. The camera of a view sees the sub-pixels of this view.
 
@@ -98,6 +101,9 @@ def encode(
             Gaussians and image then lie on the CPU. Bytes are those of the CPU to 1/255. Of a quality it heeds
             opacity_cut, transmittance_stop, colour_error and contribution_cut; lattices and arithmetic stay exact. It
             draws neither gradients nor "float64". None: where the Gaussians are.
+        optics: numbers of panel and rig as tensors, in place of theirs. Float outputs of "direct" are differentiable
+            in them too, on the CPU. Those of the lens (line_number, slant_tan, phase, subpixel_cells) need
+            views="continuous". Where a lens ends the view jumps, and no gradient tells of that.
 
     Returns:
         The image, of the type of `output`.
@@ -106,6 +112,7 @@ def encode(
         InputError: an argument has a wrong type, shape or value, or belongs to another method.
     """
     check_types(method, views, output, gaussians, panel, rig, cameras, stats, antialiased)
+    expect("optics", optics, Optics, type(None))
     quality, view_filter, threads, memory_budget = check_together(
         method,
         views,
@@ -121,6 +128,8 @@ def encode(
         device=device,
     )
     continuous, as_bytes = views == "continuous", output == "uint8"
+    if optics is not None:
+        panel, rig = optics.panel(panel), None if rig is None else optics.rig(rig)
     if out is not None:
         check_out(out, output, panel, gaussians.device)
     if device is not None:
@@ -129,7 +138,7 @@ def encode(
     gaussians = gaussians.to(dtype=torch.float64 if output == "float64" else torch.float32)
     fields = gaussians.fields().values()
     colour = background_tensor(background, gaussians.means).reshape(-1)
-    if wants_gradients(fields, colour, output, cameras):
+    if wants_gradients(fields, colour, output, cameras, optics):
         if method == "sorted":
             refuse_gradients("method 'sorted'")
         refuse_with_gradients(
@@ -139,11 +148,17 @@ def encode(
             out=out is not None,
             device=device is not None,
         )
+        learned = [] if optics is None else [name for name, t in optics.given().items() if t.requires_grad]
+        if optics is not None and learned:
+            check_learned(learned, method, continuous)
         if method == "classic":
             refuse_with_gradients(view_filter=view_filter > 0)
             return classic_with_gradients(gaussians, panel, cast(Rig, rig), continuous, colour, antialiased)
-        numbers = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter).numbers()
-        return render_direct(*fields, colour, *numbers, antialiased)
+        camera = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter)
+        if optics is not None and learned:
+            numbers = optics.rig_numbers(panel, cast(Rig, rig), view_filter)
+            return render_with_optics(list(fields), colour, camera, antialiased, numbers, optics.lens_numbers(panel))
+        return render_direct(*fields, colour, *camera.numbers(), antialiased)
     counters = Stats(device=gaussians.means.device if stats is not None else None)
     if method == "direct":
         camera = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter)
@@ -295,7 +310,27 @@ def check_webgpu(device: str, output: Output) -> None:
         raise InputError(f"device={device!r} draws output 'uint8' or 'float32': 'float64' needs device=None")
 
 
-def wants_gradients(fields: Iterable[Tensor], background: Any, output: Output, cameras: Cameras | None = None) -> bool:
+def check_learned(names: list[str], method: Method, continuous: bool) -> None:
+    """Raise InputError where these tensors of Optics ask for gradients that there are none of."""
+    if method != "direct":
+        raise InputError(
+            f"optics: method {method!r} has no gradients to {', '.join(names)}: use method 'direct', or detach() them"
+        )
+    lens = [name for name in names if name in LENS]
+    if lens and not continuous:
+        raise InputError(
+            f"optics: with integer views sub-pixels jump from camera to camera, so that {', '.join(lens)} have no "
+            "gradients: use views='continuous', or detach() them"
+        )
+
+
+def wants_gradients(
+    fields: Iterable[Tensor],
+    background: Any,
+    output: Output,
+    cameras: Cameras | None = None,
+    optics: Optics | None = None,
+) -> bool:
     """Return whether the image carries a graph: an argument asks for a gradient, and the output is not bytes.
 
     Raises InputError where one is a dual number of forward mode, whose tangent would be lost.
@@ -303,6 +338,8 @@ def wants_gradients(fields: Iterable[Tensor], background: Any, output: Output, c
     tensors = [*fields, background]
     if cameras is not None:
         tensors += [cameras.world_to_camera, cameras.intrinsics(), cameras.limits()]
+    if optics is not None:
+        tensors += optics.given().values()
     refuse_tangents(*tensors)
     asked = any(isinstance(t, Tensor) and t.requires_grad for t in tensors)
     return torch.is_grad_enabled() and output != "uint8" and asked

@@ -108,7 +108,17 @@ class FitResult:
         if (shown := self.display or self.front) is None:
             drawn = NotebookPicture.of_gaussians(self.gaussians, frames)
         else:
-            drawn = NotebookPicture.of_views(self.gaussians, shown.panel, shown.rig, frames)
+            rig = shown.rig.relative_to(self.gaussians.origin)
+            colour = self.settings.background or (1.0, 1.0, 1.0)
+            drawn = NotebookPicture.of_views(
+                self.gaussians,
+                shown.panel,
+                rig,
+                frames,
+                background=colour,
+                antialiased=self.settings.antialiased,
+                name=None if self.display is not None else f"views round photograph {shown.cone.name}",
+            )
         facts = f"fit of {self.steps} steps{', stopped' if self.stopped else ''}"
         if self.scores is not None:
             held_out = counted(len(self.scores.names), "held-out photograph")

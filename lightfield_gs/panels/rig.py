@@ -213,15 +213,8 @@ class Rig:
         They are the panel's frustum and 15 % of the image beyond each edge. In x the fan's largest offset over
         zero_depth widens them, so that all views share one set of limits.
         """
-        (fx, fy), (cx, cy) = self.focal_px, self.principal_point_px
-        width, height = panel.width_px, panel.height_px
-        widen = self.half_width(panel) / self.zero_depth
-        return (
-            -(cx + _MARGIN * width) / fx - widen,
-            (width - cx + _MARGIN * width) / fx + widen,
-            -(cy + _MARGIN * height) / fy,
-            (height - cy + _MARGIN * height) / fy,
-        )
+        size = panel.width_px, panel.height_px
+        return edge_slopes(self.focal_px, self.principal_point_px, size, self.half_width(panel) / self.zero_depth)
 
     def cameras(self, panel: Panel, views: Sequence[int] | None = None) -> Cameras:
         """Return the cameras of integer views, float64, in their order: at x = n + 1/2.
@@ -291,6 +284,24 @@ class Rig:
         return replace(panel, width_px=width, height_px=height), replace(
             self, focal_px=focal, principal_point_px=centre
         )
+
+
+def edge_slopes(focal_px: Any, principal_point_px: Any, size_px: tuple[int, int], widen: Any) -> tuple:
+    """Return the numbers of Rig.jacobian_limits, of floats or of tensors.
+
+    Args:
+        focal_px: fx, fy.
+        principal_point_px: cx, cy.
+        size_px: Width and height of the panel.
+        widen: Added to the limits of X/Z.
+    """
+    (fx, fy), (cx, cy), (width, height) = focal_px, principal_point_px, size_px
+    return (
+        -(cx + _MARGIN * width) / fx - widen,
+        (width - cx + _MARGIN * width) / fx + widen,
+        -(cy + _MARGIN * height) / fy,
+        (height - cy + _MARGIN * height) / fy,
+    )
 
 
 def checked_size(size: Any) -> tuple[int, int]:

@@ -19,7 +19,7 @@ from lightfield_gs.rasterizer.lenticular_camera import CameraNumbers, Lenticular
 from lightfield_gs.rasterizer.operators import operator_schema, register_operator
 from lightfield_gs.rasterizer.quality import EXACT, Quality
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import RenderSize, SceneTensors
+from lightfield_gs.rasterizer.workspace import OpticsGradients, RenderSize, SceneTensors
 from lightfield_gs.rasterizer.workspace_cuda import WORKSPACES, Workspace
 
 # Orders of the polynomials for colours that vary over a rig. float64 takes the higher one: it is there to be exact
@@ -94,6 +94,33 @@ class DirectRender:
             work.composite_direct(self.native, quality, self.background, out)
         return out
 
+    def draw_exactly(self) -> Tensor:
+        """Draw the image [H, W, 3] that `backward` takes the gradients of."""
+        work, out = self.workspace(Stats(), torch.get_num_threads()), self.new_image()
+        with device_guard(self.scene.device):
+            work.composite_direct(self.native, EXACT, self.background, out)
+        return out
+
+    def backward(
+        self, image: Tensor, g_image: Tensor, optics: OpticsGradients | None = None
+    ) -> tuple[list[Tensor], Tensor]:
+        """Return the gradients of the five fields, and of the background.
+
+        Args:
+            image: what draw_exactly returned.
+            g_image: its gradient.
+            optics: memory for the gradients of the camera, if they are asked for; CPU only.
+
+        Raises:
+            InputError: for images of other shapes, types or devices.
+        """
+        shape, like = (self.height, self.width, 3), (self.scene.dtype, self.scene.device)
+        image, g_image = (check_tensor(n, t, shape, *like) for n, t in (("image", image), ("g_image", g_image)))
+        work = self.workspace(Stats(), torch.get_num_threads())
+        with device_guard(self.scene.device):
+            fields, parts = work.direct_backward(self.native, self.background, image, g_image, optics)
+        return [g.squeeze(0) for g in fields], parts.sum(0)
+
 
 class _SceneArguments(NamedTuple):
     """The first arguments of the operators; all float32, or on the CPU all float64.
@@ -147,11 +174,7 @@ def _forward(*arguments: Any) -> Tensor:
     Raises:
         InputError: for arguments of other shapes, types or values.
     """
-    render = _unpack(arguments)
-    work, out = render.workspace(Stats(), torch.get_num_threads()), render.new_image()
-    with device_guard(render.scene.device):
-        work.composite_direct(render.native, EXACT, render.background, out)
-    return out
+    return _unpack(arguments).draw_exactly()
 
 
 def _fake(*arguments):
@@ -164,14 +187,8 @@ def _gradients(*arguments: Any) -> tuple[Tensor, ...]:
 
     arguments: of render_direct, then its image and the gradient of that.
     """
-    render, drawn = _unpack(arguments), _Drawn(*arguments[_OPTIONS + 1 :])
-    shape = (render.height, render.width, 3)
-    like = render.scene.dtype, render.scene.device
-    image, g_image = (check_tensor(name, t, shape, *like) for name, t in zip(drawn._fields, drawn))
-    work = render.workspace(Stats(), torch.get_num_threads())
-    with device_guard(render.scene.device):
-        fields, parts = work.direct_backward(render.native, render.background, image, g_image)
-    return (*(g.squeeze(0) for g in fields), parts.sum(0))
+    fields, background = _unpack(arguments).backward(*_Drawn(*arguments[_OPTIONS + 1 :]))
+    return (*fields, background)
 
 
 def _fake_gradients(*arguments):

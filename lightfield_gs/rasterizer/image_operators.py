@@ -12,12 +12,12 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.arrays import is_eager
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageInputs, ImageRender
 from lightfield_gs.rasterizer.operators import (
     LIBRARY,
     differentiable_once,
-    is_eager,
     operator_schema,
     register_batches,
     register_operator,
@@ -48,8 +48,9 @@ def render_images_and_splats(*arguments: Any) -> tuple[Tensor, ...]:
 def render_images(*arguments: Any) -> _Images:
     """Render B scenes before V cameras each (Kerbl et al. 2023): the operator of this name.
 
-    It is differentiable in all tensors but intrinsics and limits. screen receives the gradient of the projected means,
-    in 1 / pixels. With 4 numbers the last two are sums over pixels of absolute values (Ye et al., "AbsGS", 2024).
+    It is differentiable in all tensors but the limits of cameras that are no pinholes. screen receives the gradient of
+    the projected means, in 1 / pixels. With 4 numbers the last two are sums over pixels of absolute values (Ye et al.,
+    "AbsGS", 2024).
 
     Args:
         arguments: of ImageArguments.
@@ -109,7 +110,9 @@ def fake_state(like: Tensor, images: int, count: int) -> RenderState:
         images: how many.
         count: of Gaussians.
     """
-    size = 0 if type(like) is Tensor else torch.library.get_ctx().new_dynamic_size()  # plain tensors here are meta
+    mode = getattr(like, "fake_mode", None)  # meta tensors have none
+    tracked = mode is not None and mode.shape_env is not None
+    size = torch.library.get_ctx().new_dynamic_size() if tracked else 0
     splats, colours = (like.new_empty(shape) for shape in RenderState.shapes(images, count, 0))
     return RenderState(splats, colours, like.new_empty(size, dtype=torch.uint8))
 
@@ -128,6 +131,7 @@ class _DrawnArguments(NamedTuple):
     Attributes:
         screen_numbers: 0, 2 or 4, of the screen.
         cameras: Whether the gradient of world_to_camera is asked for.
+        optics: Whether those of intrinsics and limits are.
     """
 
     image: Tensor
@@ -141,6 +145,7 @@ class _DrawnArguments(NamedTuple):
     g_depth: Tensor | None
     screen_numbers: int
     cameras: bool
+    optics: bool
 
 
 def _of_backward(arguments: Sequence[Any]) -> tuple[ImageArguments, _DrawnArguments]:
@@ -150,9 +155,9 @@ def _of_backward(arguments: Sequence[Any]) -> tuple[ImageArguments, _DrawnArgume
 
 
 def _backward_of_state(*arguments: Any) -> tuple[Tensor, ...]:
-    """Return the gradients of render_images's first seven arguments and of screen.
+    """Return the gradients of render_images's first nine arguments and of screen.
 
-    The gradient of world_to_camera is 0 where it is not asked for.
+    The gradients of cameras are 0 where they are not asked for.
 
     Args:
         arguments: of render_images without screen, then of _DrawnArguments.
@@ -162,25 +167,37 @@ def _backward_of_state(*arguments: Any) -> tuple[Tensor, ...]:
     found = render.backward(
         ImageBuffers(drawn.image, drawn.alpha, drawn.depth),
         ImageBuffers(drawn.g_image, drawn.g_alpha, drawn.g_depth),
-        GradientRequest(drawn.screen_numbers, drawn.cameras),
+        GradientRequest(drawn.screen_numbers, drawn.cameras, optics=drawn.optics),
     )
     lead = render.inputs.lead
     g_background = found.background_parts.view(*lead, -1, 3).sum(2)
-    poses = given.world_to_camera
-    g_cameras = found.cameras.view_as(poses) if drawn.cameras else torch.zeros_like(poses)
     g_screen = found.screen.view(*lead, given.means.shape[1], drawn.screen_numbers)
-    return (*found.fields, g_background, g_cameras, g_screen)
+    return (*found.fields, g_background, *camera_gradients(given[6:9], found.cameras, found.optics), g_screen)
+
+
+def camera_gradients(cameras: Sequence[Tensor], g_poses: Tensor, g_optics: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the gradients of world_to_camera, intrinsics and limits.
+
+    Args:
+        cameras: These three tensors.
+        g_poses: As in ImageGradients; without images it stands for zeros, and so does g_optics.
+        g_optics: Likewise.
+    """
+    # Copies: outputs of an operator may not share memory
+    found = (g_poses, *torch.split_with_sizes_copy(g_optics, [cameras[1].shape[-1], cameras[2].shape[-1]], -1))
+    shaped = [g.reshape(t.shape) if len(g) else torch.zeros_like(t) for t, g in zip(cameras, found)]
+    return shaped[0], shaped[1], shaped[2]
 
 
 def _fake_backward(*arguments):
     given, drawn = _of_backward(arguments)
     screen = given.means.new_empty(*given.world_to_camera.shape[:2], given.means.shape[1], drawn.screen_numbers)
-    return (*(torch.empty_like(t, memory_format=torch.contiguous_format) for t in given[:7]), screen)
+    return (*(torch.empty_like(t, memory_format=torch.contiguous_format) for t in given[:9]), screen)
 
 
 render_images_backward = register_operator(
     "render_images_backward",
-    operator_schema(ImageArguments, _DrawnArguments, outputs=8, defaults=False, omit=("screen",)),
+    operator_schema(ImageArguments, _DrawnArguments, outputs=10, defaults=False, omit=("screen",)),
     _backward_of_state,
     _fake_backward,
 )
@@ -197,9 +214,10 @@ def _setup_context(ctx, inputs, output):
 def _backward(ctx, *grads):
     saved = ctx.saved_tensors
     g_image = torch.zeros_like(saved[9]) if grads[0] is None else grads[0]
-    drawn = (*saved[9:], g_image, *grads[1:3], ctx.screen_numbers, ctx.needs_input_grad[6])
+    asked = ctx.needs_input_grad
+    drawn = (*saved[9:], g_image, *grads[1:3], ctx.screen_numbers, asked[6], any(asked[7:9]))
     *out, g_screen = render_images_backward(*saved[:9], ctx.width, ctx.height, ctx.antialiased, ctx.model, *drawn)
-    return (*out, *(None,) * 5, g_screen if ctx.screen_numbers else None, None)
+    return (*out, *(None,) * 3, g_screen if ctx.screen_numbers else None, None)
 
 
 render_images_with_state = register_operator(
@@ -288,12 +306,16 @@ class _Project(torch.autograd.Function):
         if sums is None:
             return (None,) * 12
         inputs = _inputs(ctx.saved_tensors, ctx.options)
-        request = GradientRequest(ctx.screen_numbers, ctx.needs_input_grad[5])
-        fields, g_cameras, screen = inputs.backward_from_sums(sums.contiguous(), request)
+        asked = ctx.needs_input_grad
+        request = GradientRequest(ctx.screen_numbers, asked[5], optics=any(asked[6:8]))
+        fields, g_poses, g_optics, screen = inputs.backward_from_sums(sums.contiguous(), request)
+        g_cameras: tuple[Tensor | None, ...] = (None,) * 3
+        if any(asked[5:8]):
+            g_cameras = camera_gradients(ctx.saved_tensors[5:8], g_poses, g_optics)
         return (
             *(fields if ctx.batched else (g.squeeze(0) for g in fields)),
-            g_cameras.view_as(ctx.saved_tensors[5]) if request.cameras else None,
-            *(None,) * 4,  # intrinsics, limits, background and options
+            *g_cameras,
+            *(None,) * 2,  # background and options
             screen.view(*inputs.lead, inputs.scene.count, ctx.screen_numbers) if ctx.screen_numbers else None,
             None,
         )

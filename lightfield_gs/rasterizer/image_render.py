@@ -15,7 +15,14 @@ from lightfield_gs.base.device import device_guard
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture
 from lightfield_gs.rasterizer.stats import Stats
-from lightfield_gs.rasterizer.workspace import GradientRequest, ImageGradients, RenderSize, RenderState, SceneTensors
+from lightfield_gs.rasterizer.workspace import (
+    GradientRequest,
+    ImageGradients,
+    InputGradients,
+    RenderSize,
+    RenderState,
+    SceneTensors,
+)
 from lightfield_gs.rasterizer.workspace_cuda import WORKSPACES, project_images_backward
 from lightfield_gs.scene.cameras import pose_rows
 
@@ -140,8 +147,8 @@ class ImageInputs:
         other.scene, other._camera_tensors = self.scene.without_values(), []
         return other
 
-    def backward_from_sums(self, sums: Tensor, request: GradientRequest) -> tuple[list[Tensor], Tensor, Tensor]:
-        """Return the gradients of fields, cameras and screen, as in ImageGradients; CUDA only.
+    def backward_from_sums(self, sums: Tensor, request: GradientRequest) -> InputGradients:
+        """Return the gradients of all inputs but the background; CUDA only.
 
         Args:
             sums: Result of ImageRender.backward_sums.
@@ -321,8 +328,8 @@ class ImageRender:
         """Return the gradients of the numbers of splats [I, N, SPLAT_FIELDS] from the sums of backward_sums."""
         return self.work.splat_gradients(sums)
 
-    def fields_backward(self, sums: Tensor, request: GradientRequest) -> tuple[list[Tensor], Tensor, Tensor]:
-        """Return the gradients of fields, cameras and screen, as in ImageGradients: the second half of backward()."""
+    def fields_backward(self, sums: Tensor, request: GradientRequest) -> InputGradients:
+        """Return the gradients of all inputs but the background: the second half of backward()."""
         shape = self.work.splats.splats.shape
         sums = check_tensor("sums", sums, tuple(shape), self.scene.dtype, self.scene.device)
         with device_guard(self.scene.device):

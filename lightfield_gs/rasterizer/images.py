@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 import lightfield_gs
-from lightfield_gs.base.arrays import Colour, background_tensor, check_tensor
+from lightfield_gs.base.arrays import Colour, background_tensor, check_tensor, is_eager
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import RenderMode
@@ -131,7 +131,8 @@ def render(
     """Render ordinary images of Gaussians (Kerbl et al. 2023).
 
     The images are differentiable once, in the five fields of the Gaussians, features, colors, covars, the background
-    and the cameras' poses (world_to_camera and world_to_camera_end).
+    and the cameras: their poses (world_to_camera and world_to_camera_end), focal_px, principal_point_px and
+    jacobian_limits. Where limits are None, they follow from the other two, and so do their gradients.
 
     Args:
         gaussians: [N, ...] with cameras [C, ...]; or [B, N, ...] with cameras [B, C, ...], or with the same cameras
@@ -253,11 +254,10 @@ def _render_by_model(
         check_values(gaussians)  # on CUDA looking at values would wait for the device
     like, *others = gaussians.fields().values()
     given = options.features, options.colors, options.covars
-    refuse_tangents(like, *others, background, *cameras.ends().values(), *given)
-    if torch.is_grad_enabled() and any(t.requires_grad for t in (cameras.intrinsics(), cameras.limits())):
+    refuse_tangents(like, *others, background, *cameras.ends().values(), cameras.intrinsics(), cameras.limits(), *given)
+    if torch.is_grad_enabled() and cameras.distortion is not None and cameras.distortion.requires_grad:
         raise InputError(
-            "cameras: focal_px and principal_point_px (K) and jacobian_limits have no gradients, and one of them "
-            "requires it: detach() it, or use torch.no_grad()"
+            "cameras: distortion has no gradients, and it requires one: detach() it, or use torch.no_grad()"
         )
     batched = like.dim() == 3
     shared = cameras.world_to_camera.dim() == 3  # by all sets of a batch
@@ -298,14 +298,14 @@ def _drawn(fields: tuple[Tensor, ...], view: View, options: RenderOptions, scree
     size = view.width, view.height, options.antialiased
     cameras = view[1:4]
     asked = screen is not None or any(t.requires_grad for t in (*fields, *view[:4]))
-    with_gradients = torch.is_grad_enabled() and asked
-    if not with_gradients and not options.reads_splats and not batched and options.render_mode == "RGB":
+    by_operator = torch.is_grad_enabled() and asked or not is_eager((*fields, *view[:4]))
+    if not by_operator and not options.reads_splats and not batched and options.render_mode == "RGB":
         wanted: dict[str, Any] = {"alpha": options.alpha or options.depth, "depth": options.depth, "model": view.model}
         return Drawn._make((*draw_in_chunks(batch, view.background, cameras, *size, **wanted), *(None,) * 4))
-    if with_gradients and not options.reads_splats and not batched:
+    if by_operator and not options.reads_splats and not batched:
         return Drawn(*render_scene(fields, view.background, cameras, (*size, screen, view.model)))
     draw: Callable[..., tuple[Tensor, ...]]
-    if with_gradients:
+    if by_operator:
         draw = render_images_and_splats if options.reads_splats else render_images
     else:  # at the first call of an operator with a backward torch spends a second on imports
         draw = draw_images_and_splats if options.reads_splats else draw_images
@@ -339,7 +339,7 @@ def _asked_for(drawn: Drawn, view: View, options: RenderOptions, count: int) -> 
 
 def _expected_depth(depth: Tensor, alpha: Tensor) -> Tensor:
     """Return the sum of weight * z [B, C, H, W] divided by alpha; in place where there are no gradients."""
-    if torch.is_grad_enabled() and (depth.requires_grad or alpha.requires_grad):
+    if torch.is_grad_enabled() and (depth.requires_grad or alpha.requires_grad) or not is_eager((depth,)):
         return depth / alpha.clamp_min(1e-10)
     return divide_by_alpha(depth, alpha)
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.image_operators import fake_state
+from lightfield_gs.rasterizer.image_operators import camera_gradients, fake_state
 from lightfield_gs.rasterizer.image_render import ImageBuffers, ImageInputs, ImageRender
 from lightfield_gs.rasterizer.operators import operator_schema, register_operator
 from lightfield_gs.rasterizer.splat_shapes import hidden_splats
@@ -68,6 +68,7 @@ class _ProjectGradients(NamedTuple):
     sums: Tensor
     screen_numbers: int
     cameras: bool
+    optics: bool
 
 
 _MADE = 12  # arguments of project_splats that its backward takes too
@@ -86,25 +87,25 @@ def _fake_project(*arguments):
 
 
 def _project_backward(*arguments: Any) -> tuple[Tensor, ...]:
-    """Return the gradients of the first six arguments of project_splats, and of screen."""
+    """Return the gradients of the first eight arguments of project_splats, and of screen."""
     given = ProjectArguments._make((*arguments[:_MADE], None, None, 0.0, 0.0, 0.0))
     known = _ProjectGradients(*arguments[_MADE:])
     render = ImageRender(given.inputs(), None, state=RenderState(*known[:3]))
-    fields, g_cameras, screen = render.fields_backward(known.sums, GradientRequest(known.screen_numbers, known.cameras))
+    request = GradientRequest(known.screen_numbers, known.cameras, optics=known.optics)
+    fields, g_poses, g_optics, screen = render.fields_backward(known.sums, request)
     lead, count = given.world_to_camera.shape[:2], given.means.shape[1]
-    poses = given.world_to_camera
-    g_cameras = g_cameras.view_as(poses) if known.cameras else torch.zeros_like(poses)
-    return (*fields, g_cameras, screen.view(*lead, count, known.screen_numbers))
+    g_cameras = camera_gradients(given[5:8], g_poses, g_optics)
+    return (*fields, *g_cameras, screen.view(*lead, count, known.screen_numbers))
 
 
 def _fake_project_backward(*arguments):
-    screen = arguments[0].new_empty(*arguments[5].shape[:2], arguments[0].shape[1], arguments[-2])
-    return (*(torch.empty_like(t, memory_format=torch.contiguous_format) for t in arguments[:6]), screen)
+    screen = arguments[0].new_empty(*arguments[5].shape[:2], arguments[0].shape[1], arguments[-3])
+    return (*(torch.empty_like(t, memory_format=torch.contiguous_format) for t in arguments[:8]), screen)
 
 
 project_splats_backward = register_operator(
     "project_splats_backward",
-    operator_schema(ProjectArguments, _ProjectGradients, outputs=7, omit=("screen", "masks", "near", "far", "radius")),
+    operator_schema(ProjectArguments, _ProjectGradients, outputs=9, omit=("screen", "masks", "near", "far", "radius")),
     _project_backward,
     _fake_project_backward,
 )
@@ -123,11 +124,9 @@ def _backward_project(ctx, sums, *_):
     if sums is None:
         return (None,) * len(ProjectArguments._fields)
     saved = ctx.saved_tensors
-    found = project_splats_backward(
-        *saved[:8], *ctx.options, *saved[8:], sums, ctx.screen_numbers, ctx.needs_input_grad[5]
-    )
-    *fields, g_cameras, g_screen = found
-    return (*fields, g_cameras, *(None,) * 6, g_screen if ctx.screen_numbers else None, *(None,) * 4)
+    asked = ctx.needs_input_grad[5], any(ctx.needs_input_grad[6:8])
+    *fields, g_screen = project_splats_backward(*saved[:8], *ctx.options, *saved[8:], sums, ctx.screen_numbers, *asked)
+    return (*fields, *(None,) * 4, g_screen if ctx.screen_numbers else None, *(None,) * 4)
 
 
 project_splats = register_operator(

@@ -210,11 +210,13 @@ class GradientRequest(NamedTuple):
         screen_numbers: 0; 2 for the projected means, in 1 / pixels; 4 for these and the sums of absolute values.
         cameras: Whether the gradient of world_to_camera is asked for.
         pose_rows: Of each pose; ImageInputs knows.
+        optics: Whether the gradients of intrinsics and limits are asked for, with that of world_to_camera.
     """
 
     screen_numbers: int = 0
     cameras: bool = True
     pose_rows: int = 4
+    optics: bool = False
 
     @property
     def absolute(self) -> bool:
@@ -228,14 +230,31 @@ class ImageGradients(NamedTuple):
     Attributes:
         fields: Gradients of the five fields.
         cameras: [I, pose_rows, 4], or [0, pose_rows, 4].
+        optics: Gradients of intrinsics, then limits, [I, CAMERA_OPTICS], or [0, CAMERA_OPTICS].
         screen: Gradients of the projected means, [I, N, screen_numbers].
         background_parts: [I * parts, 3].
     """
 
     fields: list[Tensor]
     cameras: Tensor
+    optics: Tensor
     screen: Tensor
     background_parts: Tensor
+
+
+InputGradients = tuple[list[Tensor], Tensor, Tensor, Tensor]  # the first four of ImageGradients
+
+
+class OpticsGradients(NamedTuple):
+    """Gradients of the camera of a light-field image.
+
+    Attributes:
+        rig: [16 + RIG_OPTICS] float64, of world_to_camera and then as csrc/math/projection.h lists Optic.
+        offsets: [H, W, 3], of the normalized offset of each sub-pixel's camera, by image channel.
+    """
+
+    rig: Tensor
+    offsets: Tensor
 
 
 class CpuWorkspace:
@@ -387,10 +406,8 @@ class CpuWorkspace:
         )
         return sums, g_background
 
-    def fields_backward(
-        self, cameras: _core.float32.Cameras, sums: Tensor, request: GradientRequest
-    ) -> tuple[list[Tensor], Tensor, Tensor]:
-        """Run the second half of images_backward: gradients of fields, cameras and screen as in ImageGradients."""
+    def fields_backward(self, cameras: _core.float32.Cameras, sums: Tensor, request: GradientRequest) -> InputGradients:
+        """Run the second half of images_backward: gradients of all inputs but the background."""
         return self._fields_backward(cameras, 0, sums, request)
 
     def _composite_backward(
@@ -420,11 +437,12 @@ class CpuWorkspace:
 
     def _fields_backward(
         self, cameras: _core.float32.Cameras, first: int, found: Tensor, request: GradientRequest
-    ) -> tuple[list[Tensor], Tensor, Tensor]:
+    ) -> InputGradients:
         """Take the gradients `found` of intersections, or of splats if the address `first` is 0, to the inputs."""
         scene = self.scene
         out, native = scene.gradients(zero=True)
         g_cameras = scene.new(self.images, request.pose_rows, 4, zero=True)
+        g_optics = scene.new(self.images if request.optics else 0, _core.CAMERA_OPTICS)
         screen = scene.new(self.images, scene.count, request.screen_numbers)
         scene.core.project_images_backward(
             scene.native(),
@@ -436,9 +454,10 @@ class CpuWorkspace:
             screen.data_ptr() if request.screen_numbers else 0,
             request.absolute,
             g_cameras.data_ptr(),
+            g_optics.data_ptr() if request.optics else 0,
             self.threads,
         )
-        return out, g_cameras, screen
+        return out, g_cameras, g_optics, screen
 
     def composite_features(self, features: _core.float32.Features, out: Tensor) -> None:
         """Blend features into `out` [I, H, W, D]."""
@@ -487,10 +506,19 @@ class CpuWorkspace:
         self.splats.drop(hidden)
 
     def direct_backward(
-        self, camera: NativeCamera, background: Tensor, image: Tensor, g_image: Tensor
+        self,
+        camera: NativeCamera,
+        background: Tensor,
+        image: Tensor,
+        g_image: Tensor,
+        optics: OpticsGradients | None = None,
     ) -> tuple[list[Tensor], Tensor]:
-        """Return the gradients of the five fields, and of the background in parts [parts, 3]."""
+        """Return the gradients of the five fields, and of the background in parts [parts, 3].
+
+        optics: Memory for the gradients of the camera, if they are asked for.
+        """
         core, splats = self.scene.core, self.splats
+        g_rig, g_offsets = (0, 0) if optics is None else (t.data_ptr() for t in optics)
         size = _core.intersection_gradient_size(splats.colour_order, splats.compensations is not None)
         first, sums, g_background = self._gradient_buffers(size)
         core.composite_direct_backward(
@@ -503,6 +531,7 @@ class CpuWorkspace:
             first.data_ptr(),
             sums.data_ptr(),
             g_background.data_ptr(),
+            g_offsets,
             self.threads,
         )
         out, native = self.scene.gradients(zero=True)
@@ -514,6 +543,7 @@ class CpuWorkspace:
             first.data_ptr(),
             sums.data_ptr(),
             native,
+            g_rig,
             self.threads,
         )
         return out, g_background

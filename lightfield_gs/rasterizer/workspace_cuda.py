@@ -17,6 +17,8 @@ from lightfield_gs.rasterizer.workspace import (
     CpuWorkspace,
     GradientRequest,
     ImageGradients,
+    InputGradients,
+    OpticsGradients,
     RenderSize,
     RenderState,
     SceneTensors,
@@ -214,9 +216,7 @@ class CudaWorkspace:
         sums, g_background = self.composite_images_backward(cameras, background, images, gradients, request.absolute)
         return ImageGradients(*self.fields_backward(cameras, sums, request), g_background)
 
-    def fields_backward(
-        self, cameras: _core.float32.Cameras, sums: Tensor, request: GradientRequest
-    ) -> tuple[list[Tensor], Tensor, Tensor]:
+    def fields_backward(self, cameras: _core.float32.Cameras, sums: Tensor, request: GradientRequest) -> InputGradients:
         return project_images_backward(self.scene, cameras, sums, request)
 
     def composite_features(self, features: _core.float32.Features, out: Tensor) -> None:
@@ -267,8 +267,14 @@ class CudaWorkspace:
         self.keys.view(hidden.shape).masked_fill_(hidden, _NOT_DRAWN)
 
     def direct_backward(
-        self, camera: NativeCamera, background: Tensor, image: Tensor, g_image: Tensor
+        self,
+        camera: NativeCamera,
+        background: Tensor,
+        image: Tensor,
+        g_image: Tensor,
+        optics: OpticsGradients | None = None,
     ) -> tuple[list[Tensor], Tensor]:
+        assert optics is None, "render_with_optics refuses CUDA"
         scene, cuda = self.scene, _core.cuda
         extra = 0 if self.splats.compensations is None else _core.COMPENSATION_FIELDS
         slots = scene.new(self.intersection_count, cuda.DIRECT_SUMS + 3 * self.splats.colours.shape[2] + extra)
@@ -294,8 +300,8 @@ class CudaWorkspace:
 
 def project_images_backward(
     scene: SceneTensors, cameras: _core.float32.Cameras, sums: Tensor, request: GradientRequest
-) -> tuple[list[Tensor], Tensor, Tensor]:
-    """Return gradients of fields, cameras and screen as in ImageGradients, from sums over pixels.
+) -> InputGradients:
+    """Return the gradients of all inputs but the background, from sums over pixels.
 
     It is the second half of the backward of images, and needs no result of the forward.
 
@@ -304,8 +310,10 @@ def project_images_backward(
     """
     cuda, images = _core.cuda, sums.shape[0]
     out, native = scene.gradients(zero=False)
-    numbers = 12 + 3 * (request.pose_rows - 4)  # no zeros
-    views = scene.new(images, cuda.camera_blocks(scene.count), numbers) if request.cameras else None
+    # Without the zeros of poses
+    parts = [12, 3 * (request.pose_rows - 4), _core.CAMERA_OPTICS if request.optics else 0]
+    asked = request.cameras or request.optics
+    views = scene.new(images, cuda.camera_blocks(scene.count), sum(parts)) if asked else None
     screen = scene.new(images, scene.count, request.screen_numbers)
     cuda.project_images_backward(
         scene.native(),
@@ -315,13 +323,14 @@ def project_images_backward(
         screen.data_ptr() if request.screen_numbers else 0,
         request.absolute,
         0 if views is None else views.data_ptr(),
+        request.optics,
         torch.cuda.current_stream(sums.device).cuda_stream,
     )
     if views is None:
-        return out, scene.new(0, request.pose_rows, 4), screen
-    pose, motion = views.sum(1).split([12, numbers - 12], -1)
+        return out, scene.new(0, request.pose_rows, 4), scene.new(0, _core.CAMERA_OPTICS), screen
+    pose, motion, optics = views.sum(1).split(parts, -1)
     rows = functional.pad(pose.view(-1, 3, 4), (0, 0, 0, 1)), functional.pad(motion.view(images, -1, 3), (0, 1))
-    return out, torch.cat(rows, 1), screen
+    return out, torch.cat(rows, 1), optics, screen
 
 
 Workspace = CpuWorkspace | CudaWorkspace

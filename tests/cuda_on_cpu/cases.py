@@ -222,6 +222,10 @@ def gradients(
             leaves |= {"first": first, "last": last}
             motion = {"world_to_camera": first, "world_to_camera_end": last}
             cameras = replace(cameras, rolling_shutter="top_to_bottom", **motion)
+        if sensor in CURVED or antialiased:
+            names = "focal_px", "principal_point_px"
+            optics = {name: getattr(cameras, name).clone().requires_grad_() for name in names}
+            cameras, leaves = replace(cameras, **optics), leaves | optics
         image = render(given, cameras, background=BACKGROUND, antialiased=antialiased).image
     loss = (image * torch.linspace(-1, 2, image.numel()).to(image).view_as(image)).sum()
     return {**dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values())))), "image": image.detach()}

@@ -47,9 +47,14 @@ def images_and_gradients(dtype: torch.dtype, capacity: int | None = None) -> tup
     job = ImageRender.from_arguments(ImageArguments(*_arguments(dtype), SIDE_PX, SIDE_PX), capacity=capacity)
     images, random = job.draw(), torch.Generator().manual_seed(7)
     given = ImageBuffers(*(torch.randn(image.shape, generator=random).to(image) for image in images))
-    found = job.backward(images, given, GradientRequest(4))
+    found = job.backward(images, given, GradientRequest(4, optics=True))
     fields = dict(zip(("means", "quaternions", "scales", "opacities", "sh"), found.fields))
-    others = {"cameras": found.cameras, "places": found.screen[..., :2], "absolute": found.screen[..., 2:]}
+    others = {
+        "cameras": found.cameras,
+        "optics": found.optics,
+        "places": found.screen[..., :2],
+        "absolute": found.screen[..., 2:],
+    }
     background = found.background_parts.view(SCENES * VIEWS, -1, 3).sum(1)
     return {**images._asdict(), **fields, **others, "background": background}, job
 

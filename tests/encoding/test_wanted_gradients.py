@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-from dataclasses import replace
 
 import pytest
 import torch
@@ -54,20 +53,18 @@ def test_what_has_no_gradients_is_refused():
     assert Encoder(PANEL, rig(PANEL))(scene).dtype == torch.uint8  # bytes have no gradients
 
 
-@pytest.mark.parametrize("what", ["focal_px", "K", "jacobian_limits"])
-def test_optics_that_ask_for_a_gradient_are_refused(what):
-    scene, optics = random_scene(5, 1, seed=3), torch.tensor([[20.0, 20.0]], dtype=torch.float64)
-    if what == "K":
-        matrix = torch.tensor([[[20.0, 0, 8], [0, 20, 6], [0, 0, 1]]], dtype=torch.float64, requires_grad=True)
-        seen = Cameras(cameras().world_to_camera, matrix, width_px=16, height_px=12)
-    elif what == "jacobian_limits":
-        seen = replace(cameras(), jacobian_limits=cameras().limits().requires_grad_())
-    else:
-        seen = cameras(focal=optics.requires_grad_())
-    with pytest.raises(InputError, match="focal_px and principal_point_px .* have no gradients"):
-        render(scene, seen)
-    with torch.no_grad():
-        render(scene, seen)
+@pytest.mark.parametrize("options", [{}, {"features": torch.ones(5, 2).double()}, {"eps2d": 0.2}], ids=str)
+def test_intrinsics_have_gradients_however_they_are_given(options):
+    scene = random_scene(5, 1, seed=3)
+
+    def draw(numbers):
+        fx, fy, cx, cy = numbers
+        one, none = torch.ones_like(fx), torch.zeros_like(fx)
+        matrix = torch.stack([fx, none, cx, none, fy, cy, none, none, one]).view(1, 3, 3)
+        return render(scene, Cameras(cameras().world_to_camera, matrix, width_px=16, height_px=12), **options).image
+
+    numbers = torch.tensor([20.0, 21.0, 8.0, 6.5], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(draw, numbers, eps=1e-6, atol=1e-5, rtol=1e-4)
 
 
 @pytest.mark.parametrize("loss", [torch.sum, lambda image: image.square().sum()], ids=["linear", "square"])

@@ -31,6 +31,8 @@ struct Render {
   std::vector<T> means, quaternions, scales, opacities, sh, image, alpha, depth, gradient;
   std::vector<T> poses, cameras, limits;
   std::vector<T> colours, intersections, g_means, g_quaternions, g_scales, g_opacities, g_sh, g_pose, g_background;
+  std::vector<T> g_optics, g_offsets;
+  std::vector<double> g_rig;
   std::vector<Splat<T>> splats;
   std::vector<int32_t> orders, sorted, lists;
   std::vector<int64_t> drawn, offsets, first;
@@ -57,6 +59,7 @@ struct Render {
     g_means.resize(means.size()), g_quaternions.resize(quaternions.size()), g_scales.resize(scales.size());
     g_opacities.resize(opacities.size()), g_sh.resize(sh.size()), g_pose.resize(16);
     g_background.resize(size_t(3 * band_count(kHeight)));
+    g_optics.resize(kCameraOptics), g_offsets.resize(image.size()), g_rig.resize(16 + kRigOptics);
   }
 
   Gaussians<const T> scene() const {
@@ -99,8 +102,10 @@ struct Render {
     composite_direct<T>(s, bins, panel, quality, background, image.data(), nullptr, threads);
     if (quality.ends_early()) return record(name + " image", image);
     composite_direct_backward<T>(s, bins, panel, background, image.data(), gradient.data(), first.data(),
-                                 intersections.data(), g_background.data(), threads);
-    project_direct_backward<T>(scene(), rig, panel, s, first.data(), intersections.data(), gradients(), threads);
+                                 intersections.data(), g_background.data(), g_offsets.data(), threads);
+    project_direct_backward<T>(scene(), rig, panel, s, first.data(), intersections.data(), gradients(), g_rig.data(),
+                               threads);
+    record(name + " g_offsets", g_offsets), record(name + " g_rig", std::vector<T>(g_rig.begin(), g_rig.end()));
     keep(name);
   }
 
@@ -114,8 +119,9 @@ struct Render {
                                  {gradient.data(), alpha.data(), depth.data()}, false, first.data(),
                                  intersections.data(), g_background.data(), threads);
     project_images_backward<T>(scene(), cameras, s, first.data(), intersections.data(), gradients(), nullptr, false,
-                               g_pose.data(), threads);
+                               g_pose.data(), g_optics.data(), threads);
     record("dense alpha", alpha), record("dense depth", depth), record("dense g_pose", g_pose);
+    record("dense g_optics", g_optics);
     keep("dense");
   }
 

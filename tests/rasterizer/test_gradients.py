@@ -56,6 +56,15 @@ def test_dense_gradcheck_where_the_jacobian_is_clamped():
     assert torch.autograd.gradcheck(draw, moving, eps=1e-6, atol=1e-5, rtol=1e-5)
 
 
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_dense_gradcheck_of_intrinsics_and_limits(antialiased):
+    moving, (intrinsics, limits, width, height) = dense_inputs(1, 2, 6, 1, 12, 9, extent=2.5, size=0.6)
+    limits = torch.cat([limits[..., :4], torch.full_like(limits[..., :1], 0.1)], -1)  # a camera of a rig
+    fields = [tensor.detach() for tensor in moving]
+    draw = projected(lambda *m: dense(*fields, *m, width, height, antialiased))
+    assert torch.autograd.gradcheck(draw, leaves([intrinsics, limits]), eps=1e-6, atol=1e-5, rtol=1e-5)
+
+
 @pytest.mark.parametrize("kind", ["plain", "opaque", "dark", "clamped"])
 def test_dense_gradients_are_those_of_the_oracle(kind):
     width, height = 50, 40
@@ -145,7 +154,9 @@ def test_a_state_of_another_render_is_refused():
         (splats, colours, lists.int()),
     ]:
         with pytest.raises(InputError, match="state"):
-            torch.ops.lightfield_gs.render_images_backward(*moving, *fixed, False, 0, *images, *state, *images, 0, True)
+            torch.ops.lightfield_gs.render_images_backward(
+                *moving, *fixed, False, 0, *images, *state, *images, 0, True, False
+            )
 
 
 # ---- light-field images

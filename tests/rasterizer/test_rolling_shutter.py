@@ -79,9 +79,12 @@ def test_images_and_gradients_are_the_oracles(model, shutter, antialiased):
             _turned(pose[0], *twist)[None]
             for pose, twist in zip((cameras.world_to_camera, cameras.world_to_camera_end), twists)
         )
-        image = draw(Gaussians(**fields), replace(cameras, world_to_camera=first, world_to_camera_end=last))
+        names = "focal_px", "principal_point_px"
+        optics = {name: getattr(cameras, name).clone().requires_grad_() for name in names}
+        moving = replace(cameras, world_to_camera=first, world_to_camera_end=last, **optics)
+        image = draw(Gaussians(**fields), moving)
         (image * weights).sum().backward()
-        found.append((image.detach(), *(t.grad for t in (*fields.values(), twists))))
+        found.append((image.detach(), *(t.grad for t in (*fields.values(), twists, *optics.values()))))
     for ours, truth in zip(*found):
         torch.testing.assert_close(ours, truth, atol=1e-9, rtol=1e-7)
 

@@ -95,7 +95,7 @@ class DirectBands {
         job_(scene.job),
         lens_(*scene.job.lens),
         layout_(scene.layout),
-        tile_(lens_, layout_, job_.backward),
+        tile_(lens_, layout_, job_.backward, job_.g_offsets != nullptr),
         lattice_(lens_, job_.quality) {}
 
   // Draw a band, or take its gradients. Return whether lattices were worth trying, if they were tried.
@@ -237,12 +237,16 @@ class DirectBands {
       const int order = job_.splats.colour_order;
       const IntersectionGradient<T> out{
           job_.intersection_gradients + intersection * intersection_gradient_size(order, compensated_), order};
-      compensated_ ? BackwardSplat<true>(job_, tile_, *id, out) : BackwardSplat<false>(job_, tile_, *id, out);
+      if (job_.g_offsets)
+        compensated_ ? BackwardSplat<true, true>(job_, tile_, *id, out)
+                     : BackwardSplat<false, true>(job_, tile_, *id, out);
+      else
+        compensated_ ? BackwardSplat<true, false>(job_, tile_, *id, out)
+                     : BackwardSplat<false, false>(job_, tile_, *id, out);
     }
-    if (job_.backward)
-      BackgroundGradient(tile_, layout_.samples(), job_.band_background + 3 * band_);
-    else
-      counters_.stopped_samples += FinishTile(job_, tile_, layout_.samples(), scene_.background);
+    if (job_.backward) BackgroundGradient(tile_, layout_.samples(), job_.band_background + 3 * band_);
+    if (job_.g_offsets) StoreOffsetGradients(job_, tile_);
+    if (!job_.backward) counters_.stopped_samples += FinishTile(job_, tile_, layout_.samples(), scene_.background);
   }
 
   // Blend a splat by an approximate footprint if one is near enough; return whether.
@@ -342,11 +346,12 @@ Counters composite_direct(const Splats<T>& splats, Bins bins, const Lens& lens, 
 template <class T>
 Counters composite_direct_backward(const Splats<T>& splats, Bins bins, const Lens& lens, const T* background,
                                    const T* image, const T* gradient, const int64_t* first_intersection,
-                                   T* intersection_gradients, T* band_background, int threads) {
+                                   T* intersection_gradients, T* band_background, T* g_offsets, int threads) {
   DirectJob<T> job{};
   job.splats = splats, job.bins = bins, job.lens = &lens, job.background = background, job.threads = threads;
   job.image = image, job.gradient = gradient, job.first_intersection = first_intersection;
   job.intersection_gradients = intersection_gradients, job.band_background = band_background, job.backward = true;
+  job.g_offsets = g_offsets;
   return dispatch(job);
 }
 
@@ -354,7 +359,7 @@ Counters composite_direct_backward(const Splats<T>& splats, Bins bins, const Len
   template Counters composite_direct(const Splats<T>&, Bins, const Lens&, const Quality&, const T*, T*, uint8_t*, \
                                      int);                                                                        \
   template Counters composite_direct_backward(const Splats<T>&, Bins, const Lens&, const T*, const T*, const T*,  \
-                                              const int64_t*, T*, T*, int);
+                                              const int64_t*, T*, T*, T*, int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)
 

@@ -218,9 +218,32 @@ struct CompensationSums {
   }
 };
 
+// The derivative of a splat's colour by the samples' offsets, before the colour is clamped at zero.
+template <class D>
+HWY_INLINE hn::Vec<D> ColourSlope(D d, const hn::TFromD<D>* colour, int order, hn::Vec<hn::RebindToSigned<D>> channel,
+                                  hn::Vec<D> s) {
+  if (HWY_UNLIKELY(order == kCircleOrder)) {  // the angle grows by h^2 / distance
+    const CirclePoints<D> point(d, colour, s);
+    const auto per_s = hn::Div(hn::Mul(point.h, point.h), hn::Set(d, colour[kDistanceTerm * kColourStride + 3]));
+    return hn::Mul(point.slope(d, colour, channel), per_s);
+  }
+  auto slope = hn::Zero(d);
+  for (int p = order; p >= 1; --p) {
+    const auto term = hn::Mul(hn::Set(d, hn::TFromD<D>(p)), Lookup(d, colour + p * kColourStride, channel));
+    slope = hn::MulAdd(slope, s, term);
+  }
+  return slope;
+}
+
+// The derivative of a quadratic k0 + k1 s + k2 s^2.
+template <class D>
+HWY_INLINE hn::Vec<D> QuadraticSlope(D d, hn::TFromD<D> k1, hn::TFromD<D> k2, hn::Vec<D> s) {
+  return hn::MulAdd(hn::Set(d, 2 * k2), s, hn::Set(d, k1));
+}
+
 // Add to `out` the gradient of an intersection, from the samples of this tile. math/over-inl.h has
-// the formula; a sample has one channel here.
-template <bool kCompensated, class T>
+// the formula; a sample has one channel here. kOffsets: also add to the gradients of the samples' offsets.
+template <bool kCompensated, bool kOffsets, class T>
 void BackwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, int32_t id, const IntersectionGradient<T>& out) {
   using V = typename DirectTile<T>::V;
   const Tag<T> d;
@@ -273,6 +296,19 @@ void BackwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, int32_t id, con
     // backward pass masks their gradients.
     V g_c = hn::Mul(g, weight);
     if (order != 0) g_c = hn::IfThenElseZero(hn::Gt(c, hn::Zero(d)), g_c);
+    if constexpr (kOffsets) {
+      // The mean of the footprint in this row moves by M1, and S(s) changes
+      const V along = hn::Mul(dx, inverse_S), S_slope = QuadraticSlope(d, splat.S1, splat.S2, s);
+      V by_s = hn::Mul(along, hn::MulAdd(along, S_slope, hn::Mul(hn::Set(d, T(2)), rows.M1)));
+      if constexpr (kCompensated) {
+        const auto& D_of = job.splats.compensations[id];
+        const V D_at_s = factor.unfiltered(s), D_slope = hn::Div(QuadraticSlope(d, D_of.D1, D_of.D2, s), D_at_s);
+        const V of_D = hn::IfThenElseZero(hn::Gt(D_at_s, hn::Zero(d)), D_slope);
+        by_s = hn::MulAdd(hn::NegMulAdd(S_slope, inverse_S, of_D), hn::Set(d, T(0.5 / kLn2)), by_s);
+      }
+      const V g_s = hn::MulAdd(g_power, by_s, hn::Mul(g_c, ColourSlope(d, colour, order, channel, s)));
+      hn::Store(hn::Add(hn::Load(d, &tile.g_offset[i]), g_s), d, &tile.g_offset[i]);
+    }
     auto in_channel = [&](int k) {
       return hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(channel, hn::Set(di, typename DirectTile<T>::TI(k)))), g_c);
     };
@@ -314,7 +350,8 @@ void BackwardSplat(const DirectJob<T>& job, DirectTile<T>& tile, int32_t id, con
 template <class T>
 void LoadGradients(const DirectJob<T>& job, DirectTile<T>& tile, int64_t samples) {
   constexpr int kLanes = DirectTile<T>::kLanes;
-  for (auto* a : {&tile.gradient, &tile.total, &tile.prefix}) std::fill(a->get(), a->get() + samples, T(0));
+  for (auto* a : {&tile.gradient, &tile.total, &tile.prefix, &tile.g_offset})
+    if (*a) std::fill(a->get(), a->get() + samples, T(0));
   tile.for_each_run([&](const auto& run) {
     int64_t sample = tile.sample(run);
     for (int64_t m = run.first; m < run.first + run.count; ++m, sample += kLanes) {
@@ -322,6 +359,16 @@ void LoadGradients(const DirectJob<T>& job, DirectTile<T>& tile, int64_t samples
       tile.gradient[sample] = job.gradient[from];
       tile.total[sample] = job.gradient[from] * job.image[from];
     }
+  });
+}
+
+// Write the gradients of the samples' offsets to the sub-pixels.
+template <class T>
+void StoreOffsetGradients(const DirectJob<T>& job, const DirectTile<T>& tile) {
+  tile.for_each_run([&](const auto& run) {
+    int64_t sample = tile.sample(run);
+    for (int64_t m = run.first; m < run.first + run.count; ++m, sample += DirectTile<T>::kLanes)
+      job.g_offsets[run.row * 3 * job.lens->width_px + m / 3 * 3 + tile.channel[sample]] = tile.g_offset[sample];
   });
 }
 

@@ -49,6 +49,7 @@ struct DirectJob {
   const T *image, *gradient;  // backward pass only: the image that was drawn, and the gradient of the loss by it
   const int64_t* first_intersection;
   T *intersection_gradients, *band_background;
+  T* g_offsets;   // [H, W, 3], or null: the gradients of the samples' offsets s
   bool backward;  // the direction; intersection_gradients cannot tell, for it is also null where no splat is drawn
   int threads;
 };

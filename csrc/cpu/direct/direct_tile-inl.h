@@ -76,11 +76,12 @@ class DirectTile {
   using Placer = SamplePlacer<T>;
 
   // Sample arrays, [patch][lens_column][lane]; a *vector* is one (patch, lens column)
-  hwy::AlignedFreeUniquePtr<T[]> x, s, colour, transmittance, gradient, total, prefix;
+  hwy::AlignedFreeUniquePtr<T[]> x, s, colour, transmittance, gradient, total, prefix, g_offset;
   hwy::AlignedFreeUniquePtr<TI[]> channel;
   int open = 0;  // vectors that still take light
 
-  DirectTile(const Lens& lens, const LensLayout& layout, bool backward)
+  // offsets: whether the gradients of the samples' offsets s are wanted, in the backward pass.
+  DirectTile(const Lens& lens, const LensLayout& layout, bool backward, bool offsets)
       : lens_(lens),
         layout_(layout),
         placer_(lens, layout),
@@ -93,6 +94,7 @@ class DirectTile {
     for (auto* a : {&x, &s, &colour, &transmittance}) *a = hwy::AllocateAligned<T>(n);
     if (backward)
       for (auto* a : {&gradient, &total, &prefix}) *a = hwy::AllocateAligned<T>(n);
+    if (offsets) g_offset = hwy::AllocateAligned<T>(n);
     channel = hwy::AllocateAligned<TI>(n);
     padded_ = (patches_ + kLanes - 1) / kLanes * kLanes;
     for (auto* a : {&patch_row_, &patch_sample_, &patch_x_, &patch_s_, &patch_half_s_})
@@ -115,7 +117,8 @@ class DirectTile {
   }
 
   int64_t bytes() const {
-    return samples_ * int64_t(sizeof(T)) * (gradient ? 8 : 5) + int64_t(sizeof(*this)) + samples_ / kLanes * 6;
+    return samples_ * int64_t(sizeof(T)) * ((gradient ? 8 : 5) + (g_offset ? 1 : 0)) + int64_t(sizeof(*this)) +
+           samples_ / kLanes * 6;
   }
 
   // Make this the tile of cells [cell0, cell0 + cells_per_tile) of the band that starts at row0.

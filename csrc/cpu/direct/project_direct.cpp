@@ -30,6 +30,34 @@ void store_on_circle(int degree, const T* sh, const ColourCircle<double>& circle
   colours[kDistanceTerm * kColourStride + 3] = T(circle.distance);
 }
 
+// The gradient of a rig. Those of its centre and x-axis, where colours are seen from, are apart from the pose.
+struct RigGradient {
+  CameraGradient<double> pose;
+  OpticsGradient<double> optics;
+  dvec3 centre{0}, right{0};
+
+  // Add the gradient of where the camera at s stands.
+  void add_eye(const Camera<double>& rig, double s, const dvec3& g_eye) {
+    centre += g_eye, right += s * rig.sweep * g_eye;
+    optics[kSweep] += s * glm::dot(g_eye, rig.right());
+  }
+  RigGradient& operator+=(const RigGradient& other) {
+    pose.rotation += other.pose.rotation, pose.translation += other.pose.translation;
+    optics += other.optics, centre += other.centre, right += other.right;
+    return *this;
+  }
+  // Write it as project_direct_backward says. The centre is -R^T t, the x-axis the first row of R.
+  void store(const Camera<double>& rig, double* out) const {
+    glm::dmat3 rotation = pose.rotation + glm::outerProduct(-rig.translation, centre);
+    const dvec3 translation = pose.translation - rig.rotation * centre;
+    for (int column = 0; column < 3; ++column) rotation[column][0] += right[column];
+    for (int row = 0; row < 4; ++row)
+      for (int column = 0; column < 4; ++column)
+        out[4 * row + column] = row == 3 ? 0 : column == 3 ? translation[row] : rotation[column][row];
+    std::copy_n(optics.numbers, int(kRigOptics), out + 16);
+  }
+};
+
 }  // namespace
 
 template <class T>
@@ -100,14 +128,16 @@ double project_direct(const Gaussians<const T>& gaussians, const Camera<double>&
 template <class T>
 void project_direct_backward(const Gaussians<const T>& gaussians, const Camera<double>& rig, const Lens& lens,
                              const Splats<T>& splats, const int64_t* first_intersection,
-                             const T* intersection_gradients, const Gaussians<T>& out, int threads) {
+                             const T* intersection_gradients, const Gaussians<T>& out, double* g_rig, int threads) {
   const int order = splats.colour_order, nodes = order + 1, size = intersection_gradient_size(order, rig.compensated());
   const ColourBasis basis(order);
+  std::vector<RigGradient> partial(g_rig ? size_t((gaussians.count + kGrain - 1) / kGrain) : 0);
   parallel_for_chunks(gaussians.count, kGrain, threads, [&](int64_t begin, int64_t end, int) {
     std::vector<double> sum(size);
     const IntersectionGradient<double> g_intersection{sum.data(), order};
     std::vector<dvec3> g_chebyshev(nodes);
-    CameraGradient<double> unused;
+    RigGradient unused, &of_rig = g_rig ? partial[size_t(begin / kGrain)] : unused;
+    OpticsGradient<double>* of_optics = g_rig ? &of_rig.optics : nullptr;
     for (int64_t i = begin; i < end; ++i) {
       const Splat<T>& splat = splats.splats[i];
       if (splat.reach_y < 0) continue;
@@ -123,37 +153,52 @@ void project_direct_backward(const Gaussians<const T>& gaussians, const Camera<d
         Compensation<double> unused_D;
         const double most = projection.compensate(rig, again, unused_D);
         const Compensation<double>& g_compensation = g_intersection.compensation();
-        projection.backward<true>(rig, shape, g_splat, g, unused,
-                                  {g_compensation.D0 / most, g_compensation.D1 / most, g_compensation.D2 / most});
+        projection.backward<true>(rig, shape, g_splat, g, of_rig.pose,
+                                  {g_compensation.D0 / most, g_compensation.D1 / most, g_compensation.D2 / most},
+                                  of_optics);
       } else {
-        projection.backward(rig, shape, g_splat, g, unused);
+        projection.backward(rig, shape, g_splat, g, of_rig.pose, {}, of_optics);
       }
 
       // The gradient of the colours, back to harmonics and mean
       const T* colours = splats.colours + i * nodes * kColourStride;
       const int64_t first = 3 * gaussians.sh_count() * i;
       if (splats.orders[i] == kCircleOrder) {
-        g.mean += circle_colour_backward(gaussians.sh_degree, gaussians.sh + first, ColourCircle(rig, shape.mean),
-                                         g_intersection.colours(), out.sh + first);
+        const ColourCircle<double> circle(rig, shape.mean);
+        CircleGradient<double> g_circle;
+        const dvec3 g_mean = circle_colour_backward(gaussians.sh_degree, gaussians.sh + first, circle,
+                                                    g_intersection.colours(), out.sh + first, &g_circle);
+        g.mean += g_mean;
+        if (g_rig) {
+          const LineGradient<double> g_line(rig, circle, g_circle);
+          of_rig.centre -= g_mean, of_rig.right += g_line.right, of_rig.optics[kSweep] += g_line.sweep;
+        }
         add_gradient(shape, g, out, i);
         continue;
       }
       auto to_harmonics = [&](double s, const dvec3& g_value) {
-        g.mean += sh_colour_backward(gaussians.sh_degree, gaussians.sh + first, shape.mean, rig.eye_at(s), g_value,
-                                     out.sh + first);
+        const dvec3 g_mean = sh_colour_backward(gaussians.sh_degree, gaussians.sh + first, shape.mean, rig.eye_at(s),
+                                                g_value, out.sh + first);
+        g.mean += g_mean;
+        if (g_rig) of_rig.add_eye(rig, s, -g_mean);
       };
       colour_fit_backward(basis, nodes, splats.orders[i], g_intersection.colours(), colours, g_chebyshev.data(),
                           to_harmonics);
       add_gradient(shape, g, out, i);
     }
   });
+  if (!g_rig) return;
+  RigGradient all;
+  for (const RigGradient& one : partial) all += one;
+  all.store(rig, g_rig);
 }
 
-#define LFGS_INSTANTIATE(T)                                                                                     \
-  template double project_direct(const Gaussians<const T>&, const Camera<double>&, const Lens&, const Quality&, \
-                                 double, const Splats<T>&, int);                                                \
-  template void project_direct_backward(const Gaussians<const T>&, const Camera<double>&, const Lens&,          \
-                                        const Splats<T>&, const int64_t*, const T*, const Gaussians<T>&, int);
+#define LFGS_INSTANTIATE(T)                                                                                       \
+  template double project_direct(const Gaussians<const T>&, const Camera<double>&, const Lens&, const Quality&,   \
+                                 double, const Splats<T>&, int);                                                  \
+  template void project_direct_backward(const Gaussians<const T>&, const Camera<double>&, const Lens&,            \
+                                        const Splats<T>&, const int64_t*, const T*, const Gaussians<T>&, double*, \
+                                        int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)
 

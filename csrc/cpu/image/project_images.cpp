@@ -40,12 +40,14 @@ void project_images(const Gaussians<const T>& gaussians, const Cameras<T>& camer
 template <class T>
 void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<T>& cameras, const Splats<T>& splats,
                              const int64_t* first_intersection, const T* intersection_gradients,
-                             const Gaussians<T>& out, T* screen, bool absolute, T* g_world_to_camera, int threads) {
+                             const Gaussians<T>& out, T* screen, bool absolute, T* g_world_to_camera, T* g_optics,
+                             int threads) {
   const int64_t n = gaussians.count, chunks = (n + kGrain - 1) / kGrain;
   const int size = image_intersection_gradient_size(absolute), screen_numbers = absolute ? 4 : 2;
   struct ViewGradient {
     CameraGradient<double> camera;
     MotionGradient<double> motion;
+    OpticsGradient<double> optics;
   };
   std::vector<ViewGradient> partial(cameras.images() * chunks);
 
@@ -63,7 +65,8 @@ void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<
       const Camera<double> camera = cameras.camera(image);
       const bool rolling = cameras.rolls();
       const dvec3 centre = camera.centre();
-      auto& [g_camera, g_motion] = partial[image * chunks + item % chunks];
+      auto& [g_camera, g_motion, of_optics] = partial[image * chunks + item % chunks];
+      OpticsGradient<double>* g_of_optics = g_optics ? &of_optics : nullptr;
       dvec3 g_centre(0);
       for (int64_t i = begin; i < end; ++i) {
         const Splat<T>& splat = splats.splats[image * n + i];
@@ -91,7 +94,7 @@ void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<
 
         // From the splat to the Gaussian and the camera
         const Splat<double>& g_splat = g_intersection.splat();
-        projected_backward(camera, shape, g_splat, -g_mean, g, g_camera, g_motion);
+        projected_backward(camera, shape, g_splat, -g_mean, g, g_camera, g_motion, g_of_optics);
 
         if (place) place[0] = saturated<T>(g_splat.u0), place[1] = saturated<T>(g_splat.v0);
         for (int k = 2; place && k < screen_numbers; ++k) place[k] = saturated<T>(g_intersection.absolute()[k - 2]);
@@ -108,15 +111,17 @@ void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<
   for (int64_t image = 0; image < cameras.images(); ++image) {
     ViewGradient g;
     for (int64_t c = 0; c < chunks; ++c) {
-      const auto& [camera, motion] = partial[image * chunks + c];
+      const auto& [camera, motion, optics] = partial[image * chunks + c];
       g.camera.rotation += camera.rotation, g.camera.translation += camera.translation;
       g.motion.turn += motion.turn, g.motion.way += motion.way;
+      g.optics += optics;
     }
     T* m = g_world_to_camera + cameras.pose_numbers() * image;
     for (int row = 0; row < 3; ++row) {
       for (int col = 0; col < 3; ++col) m[4 * row + col] = T(g.camera.rotation[col][row]);
       m[4 * row + 3] = T(g.camera.translation[row]);
     }
+    for (int k = 0; g_optics && k < kCameraOptics; ++k) g_optics[kCameraOptics * image + k] = T(g.optics.numbers[k]);
     if (!cameras.rolls()) continue;
     for (int k = 0; k < 3; ++k) m[16 + k] = T(g.motion.turn[k]), m[20 + k] = T(g.motion.way[k]);
   }
@@ -140,7 +145,7 @@ void sum_intersections(const Splats<T>& splats, int64_t height_px, const int64_t
   template void sum_intersections(const Splats<T>&, int64_t, const int64_t*, const T*, bool, T*, int);  \
   template void project_images(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, int);    \
   template void project_images_backward(const Gaussians<const T>&, const Cameras<T>&, const Splats<T>&, \
-                                        const int64_t*, const T*, const Gaussians<T>&, T*, bool, T*, int);
+                                        const int64_t*, const T*, const Gaussians<T>&, T*, bool, T*, T*, int);
 LFGS_INSTANTIATE(float)
 LFGS_INSTANTIATE(double)
 

@@ -97,8 +97,32 @@ struct RollingGradients : Gradients {
   }
 };
 
+// Either with those of the camera's optics behind.
 template <class G>
-constexpr bool kRolling = std::is_same_v<G, RollingGradients>;
+struct WithOptics : G {
+  OpticsGradient<float> optics;
+
+  static constexpr int kPoseNumbers = G::kCameraNumbers, kCameraNumbers = kPoseNumbers + kCameraOptics;
+  __device__ float camera_number(int k) const {
+    return k < kPoseNumbers ? G::camera_number(k) : optics.numbers[k - kPoseNumbers];
+  }
+};
+
+template <class G>
+constexpr bool kRolling = std::is_base_of_v<RollingGradients, G>;
+template <class G>
+constexpr bool kOptics = false;
+template <class G>
+constexpr bool kOptics<WithOptics<G>> = true;
+
+// Where the gradients of optics are added up, or null.
+template <class G>
+__device__ OpticsGradient<float>* optics_of(G& g) {
+  if constexpr (kOptics<G>)
+    return &g.optics;
+  else
+    return nullptr;
+}
 
 // Return `so_far` plus the gradients of the projection of Gaussian `i` of a scene into an image. They are computed in
 // double and then rounded. It is not inlined, since it is rarely called and takes many registers; kCurved is for
@@ -130,17 +154,19 @@ __device__ __noinline__ G with_exact_backward(const Gaussians<const float>& gaus
   so_far.place = make_float2(float(gradient.u0), float(gradient.v0));
   Shape<double> sum{glm::dvec3(0), glm::dvec4(0), glm::dvec3(0), 0};
   CameraGradient<double> of_camera;
+  [[maybe_unused]] OpticsGradient<double> of_optics;
+  OpticsGradient<double>* const optics_out = kOptics<G> ? &of_optics : nullptr;
 
   // The backward pass, in double
   [[maybe_unused]] MotionGradient<double> of_motion;
   if constexpr (kCurved) {
     glm::dvec3 g_eye(0);
     if constexpr (kRolling<G>) g_eye = so_far.eye;
-    projection.backward(exact, wide, gradient, g_eye, sum, of_camera, of_motion);
+    projection.backward(exact, wide, gradient, g_eye, sum, of_camera, of_motion, optics_out);
   } else {
     Compensation<double> g_D{};
     if (kCompensated) g_D = projection.compensate_backward(exact, gradient);
-    projection.template backward<kCompensated>(exact, wide, gradient, sum, of_camera, g_D);
+    projection.template backward<kCompensated>(exact, wide, gradient, sum, of_camera, g_D, optics_out);
   }
 
   // Add it to the gradients of other cameras
@@ -157,6 +183,8 @@ __device__ __noinline__ G with_exact_backward(const Gaussians<const float>& gaus
       add(so_far.motion.way[c], of_motion.way[c]);
     }
   }
+  if constexpr (kOptics<G>)
+    for (int k = 0; k < kCameraOptics; ++k) add(so_far.optics.numbers[k], of_optics.numbers[k]);
   return so_far;
 }
 
@@ -294,9 +322,12 @@ __device__ void store_place(float2 gradient, const SplatSums& sums, bool absolut
 // Write all gradients. The backward pass of an ordinary splat fits the registers that three blocks on a multiprocessor
 // leave, or four without the gradients of cameras (kCameras). Needles go through with_exact_backward() instead, and
 // with kExact (see Cameras::exact) all do. kOneCamera: there is one camera a scene, so that the gradients of harmonics
-// can overwrite the harmonics. G is RollingGradients before rolling shutters.
+// can overwrite the harmonics. G is RollingGradients before rolling shutters, and WithOptics where the gradients of
+// optics are asked for.
 template <bool kExact, bool kOneCamera, bool kCameras, class G = Gradients>
-__global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
+__global__ void __launch_bounds__(kThreads, kOptics<G> ? 2
+                                            : kCameras ? 3
+                                                       : 4)
     project_images_backward_kernel(const __grid_constant__ Gaussians<const float> gaussians,
                                    const __grid_constant__ Cameras<float> cameras, const __grid_constant__ AllSums sums,
                                    Gaussians<float> out, float* screen, float* camera_partials) {
@@ -329,6 +360,7 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
     const int64_t index = image * n + i;
     const SplatSums of_splat = real ? SplatSums::of(sums, index) : SplatSums{};
     g.camera = {}, g.place = make_float2(0, 0);
+    if constexpr (kOptics<G>) g.optics = {};
 
     // The colour, through its clamp at zero; returns its gradient by the mean, which is less that by the eye
     const auto colour_backward = [&](const vec3& eye) {
@@ -356,7 +388,7 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
                 : with_exact_backward<kExact, false>(gaussians, cameras, sums, image, i, g);
       } else {
         const Splat<float> g_splat = splat_gradient<float>(splat, of_splat, g.colour);
-        projection.backward(camera, shape, g_splat, g.shape, g.camera);
+        projection.backward(camera, shape, g_splat, g.shape, g.camera, {}, optics_of(g));
         g.place = make_float2(g_splat.u0, g_splat.v0);
       }
       const vec3 g_mean = colour_backward(camera.centre());
@@ -376,7 +408,10 @@ __global__ void __launch_bounds__(kThreads, kCameras ? 3 : 4)
 using Kernel = decltype(&project_images_backward_kernel<false, true, false>);
 
 template <bool kExact, class G>
-Kernel select_kernel(bool one_camera, bool cameras) {
+Kernel select_kernel(bool one_camera, bool cameras, bool optics) {
+  if (optics)
+    return one_camera ? project_images_backward_kernel<kExact, true, true, WithOptics<G>>
+                      : project_images_backward_kernel<kExact, false, true, WithOptics<G>>;
   if (one_camera)
     return cameras ? project_images_backward_kernel<kExact, true, true, G>
                    : project_images_backward_kernel<kExact, true, false, G>;
@@ -390,14 +425,14 @@ int64_t camera_blocks(int64_t gaussians) { return blocks_for(gaussians, kThreads
 
 void project_images_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const float* sums,
                              const Gaussians<float>& out, float* screen, bool absolute, float* camera_partials,
-                             Stream stream) {
+                             bool optics, Stream stream) {
   if (gaussians.count == 0 || cameras.scenes == 0) return;
   const dim3 blocks(unsigned(camera_blocks(gaussians.count)), unsigned(cameras.scenes));
   const bool one = cameras.per_scene == 1, of_cameras = camera_partials;
   const Way way = way_of(cameras);
-  const auto kernel = way == Way::kRolling ? select_kernel<true, RollingGradients>(one, of_cameras)
-                      : way == Way::kExact ? select_kernel<true, Gradients>(one, of_cameras)
-                                           : select_kernel<false, Gradients>(one, of_cameras);
+  const auto kernel = way == Way::kRolling ? select_kernel<true, RollingGradients>(one, of_cameras, optics)
+                      : way == Way::kExact ? select_kernel<true, Gradients>(one, of_cameras, optics)
+                                           : select_kernel<false, Gradients>(one, of_cameras, optics);
   const size_t bytes = size_t(one ? 1 : 2) * kThreads * HarmonicRows::padded(3 * gaussians.sh_count()) * sizeof(float);
   check(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, int(bytes)),
         "project_images_backward: shared memory");

@@ -134,11 +134,12 @@ void sum_feature_intersections(int64_t splats, const IntersectionRange* intersec
 // From the sums of all splats. All of out is overwritten. screen [I, N, 2], or null, receives the gradients of the
 // splats' places, u0 and v0 in pixels. With `absolute` it is [I, N, 4], with the absolute gradients behind.
 // camera_partials [I, camera_blocks(N), 12], or null, receives gradients of the rows of [R|t], which the caller sums
-// over the blocks; of rolling shutters it is [.., 18], with those of the turn and the way behind.
+// over the blocks; of rolling shutters it is [.., 18], with those of the turn and the way behind. With `optics` the
+// last axis has kCameraOptics more, the gradients of intrinsics and limits.
 int64_t camera_blocks(int64_t gaussians);
 void project_images_backward(const Gaussians<const float>& gaussians, const Cameras<float>& cameras, const float* sums,
                              const Gaussians<float>& out, float* screen, bool absolute, float* camera_partials,
-                             Stream stream);
+                             bool optics, Stream stream);
 
 void composite_direct_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                                const Intersections& intersections, const Lens& lens, const float* pixels,
