@@ -1,0 +1,131 @@
+"""`render` and `encode` under torch.compile, torch.export and torch.func, and of tensors without values."""
+
+import io
+
+import pytest
+import torch
+from rasterizer_cases import random_scene
+from torch._subclasses.fake_tensor import FakeTensorMode
+from torch.func import grad, vmap
+
+import lightfield_gs as lf
+
+COUNT, WIDTH, HEIGHT = 8, 20, 16
+EVERYTHING = dict(alpha=True, depth=True, radii=True, render_mode="RGB+ED", normals=True, median_depth=True)
+EVERYTHING |= dict(means2d=True, conics=True, tiles=True, near_plane=0.1, far_plane=50.0, radius_clip=0.5)
+
+
+def cameras(count=2, dtype=torch.float64, **changes):
+    poses = torch.eye(4, dtype=dtype).repeat(count, 1, 1)
+    poses[:, 2, 3], poses[:, 0, 3] = 3, torch.linspace(-0.3, 0.3, count)
+    optics = torch.tensor([[20.0, 20.0], [WIDTH / 2, HEIGHT / 2]], dtype=dtype)
+    return lf.Cameras(poses, *(row.repeat(count, 1) for row in optics), WIDTH, HEIGHT, **changes)
+
+
+def fields(dtype=torch.float64):
+    return [t.detach() for t in random_scene(COUNT, 1, seed=3, dtype=dtype).fields().values()]
+
+
+def images(drawn):
+    return tuple(t for t in drawn.named().values() if t is not None)
+
+
+def plain(*given):
+    return images(lf.render(lf.Gaussians(*given), cameras()))
+
+
+def single(*given):  # recentres
+    return images(lf.render(lf.Gaussians(*given), cameras(dtype=torch.float32), background=(0.1, 0.2, 0.3)))
+
+
+def everything(*given):
+    features = given[1] * 2
+    chosen = dict(features=features, colors=features[:, 1:], masks=given[3] > 0.1)
+    return images(lf.render(lf.Gaussians(*given), cameras(model="fisheye"), **chosen, **EVERYTHING))
+
+
+def by_torch(*given):
+    spread = given[1][:, :3, None] * given[1][:, None, :3] + torch.eye(3).to(given[1])
+    return images(lf.render(lf.Gaussians(*given), cameras(), covars=0.01 * spread, alpha=True))
+
+
+def gradients(outputs, given):
+    loss = sum(t.square().sum() for t in outputs if t.requires_grad)
+    return torch.autograd.grad(loss, given, allow_unused=True)
+
+
+@pytest.mark.parametrize("draw", [plain, single, everything, by_torch])
+def test_compiled_images_and_gradients_are_the_same(draw):
+    given = [t.requires_grad_() for t in fields(torch.float32 if draw is single else torch.float64)]
+    found = torch.compile(draw, fullgraph=True, backend="aot_eager")(*given)
+    want = draw(*given)
+    for have, true in zip((*found, *gradients(found, given)), (*want, *gradients(want, given))):
+        torch.testing.assert_close(have, true, rtol=0, atol=0)
+
+
+class Fit(torch.nn.Module):
+    """Gaussians that are parameters, seen by the cameras of an argument."""
+
+    def __init__(self):
+        super().__init__()
+        self.fields = torch.nn.ParameterList(torch.nn.Parameter(t) for t in fields())
+
+    def forward(self, poses, focal):
+        seen = lf.Cameras(poses, focal, focal / 2, WIDTH, HEIGHT)
+        return images(lf.render(lf.Gaussians(*self.fields), seen, alpha=True, radii=True))
+
+
+@pytest.mark.parametrize("strict", [False, True])
+def test_an_exported_render_takes_any_number_of_cameras(strict):
+    fit, some, more = Fit(), cameras(2), cameras(5)
+    number = torch.export.Dim("cameras")
+    shapes = {"poses": {0: number}, "focal": {0: number}}
+    given = some.world_to_camera, some.focal_px
+    exported = torch.export.export(fit, given, dynamic_shapes=shapes, strict=strict)
+    file = io.BytesIO()
+    torch.export.save(exported, file)
+    file.seek(0)
+    loaded = torch.export.load(file).module()
+    for have, true in zip(loaded(more.world_to_camera, more.focal_px), fit(more.world_to_camera, more.focal_px)):
+        assert torch.equal(have, true)
+    poses = more.world_to_camera.clone().requires_grad_()
+    (found,) = torch.autograd.grad(loaded(poses, more.focal_px)[0].sum(), poses)
+    (want,) = torch.autograd.grad(fit(poses, more.focal_px)[0].sum(), poses)
+    assert torch.equal(found, want)
+
+
+def test_transforms_of_render_are_those_of_each_row():
+    given = fields()
+    rows = torch.stack([given[0], given[0] + 0.1])
+    loss = lambda *t: sum(image.square().sum() for image in everything(*t))
+    want = [grad(loss)(row, *given[1:]) for row in rows]
+    leaves = [t.clone().requires_grad_() for t in given]
+    torch.testing.assert_close(want[0], gradients(everything(*leaves), leaves)[0])
+    by_row = vmap(grad(loss), (0, *(None,) * 4))(rows, *given[1:])
+    torch.testing.assert_close(by_row, torch.stack(want))
+    # one camera each: the gradient of every image on its own
+    poses, seen = cameras().world_to_camera, cameras(1)
+    one = lambda means, pose: images(
+        lf.render(lf.Gaussians(means, *given[1:]), lf.Cameras(pose[None], seen.focal_px, seen.principal_point_px, 9, 8))
+    )[0].sum()
+    found = vmap(grad(one), (None, 0))(given[0], poses)
+    torch.testing.assert_close(found, torch.stack([grad(one)(given[0], pose) for pose in poses]))
+
+
+def test_tensors_without_values_draw_shapes():
+    want = [image.shape for image in everything(*fields())]
+    with FakeTensorMode():
+        assert [image.shape for image in everything(*fields())] == want
+    scene = lf.Gaussians(*(t.to("meta") for t in fields()))
+    drawn = lf.render(scene, cameras().to("meta"), background=torch.zeros(3, device="meta"), **EVERYTHING)
+    assert drawn.image.is_meta and drawn.image.shape == (2, HEIGHT, WIDTH, 4) and drawn.radii.shape == (2, COUNT)
+    with pytest.raises(lf.InputError, match="expected tensors with values"):
+        scene.validate()
+    with pytest.raises(lf.InputError, match="background"):  # without values beside Gaussians that have them
+        lf.render(lf.Gaussians(*fields()), cameras(), background=torch.zeros(3, device="meta"))
+
+
+def test_equirectangular_images_are_refused_while_compiling():
+    seen = lf.Cameras.equirectangular(cameras().world_to_camera, 32)
+    with pytest.raises(Exception, match="expected another than equirectangular"):
+        torch.compile(lambda *t: lf.render(lf.Gaussians(*t), seen), fullgraph=True, backend="eager")(*fields())
