@@ -359,10 +359,10 @@ def add_optimisation(add: Add) -> None:
         "--loss",
         choices=LOSSES,
         default="l1-ssim",
-        short="wd: sharper texture, by VGG-16; slow without a GPU",
+        short="wd: by texture, as VGG-16 sees it; for long fits on a GPU",
         help="comparison of renders with photographs. l1-ssim: pixel by pixel (Kerbl et al. 2023); wd: by the texture "
-        "that the network VGG-16 sees, and pixels at a low weight (WD-R, Ozyilkan et al. 2026), sharper to the eye "
-        "with a lower PSNR. Its weights are fetched once, 528 MB (default l1-ssim)",
+        "that the network VGG-16 sees, and pixels at a low weight (WD-R, Ozyilkan et al. 2026), for long fits on "
+        "a GPU. Its weights are fetched once, 528 MB (default l1-ssim)",
     )
     add(
         "--dropout",
