@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
 
-_MODULES = ("direct", "image_operators", "splat_operators")
+_MODULES = ("rasterizer.direct", "rasterizer.image_operators", "rasterizer.splat_operators", "encoding.compiled")
 
 
 def register_with_torch() -> None:
@@ -38,7 +38,7 @@ def _make_namespace(torch: ModuleType) -> None:
                 return super().__getattr__(name)
             except AttributeError:
                 for module in _MODULES:
-                    importlib.import_module(f"lightfield_gs.rasterizer.{module}")
+                    importlib.import_module(f"lightfield_gs.{module}")
                 return super().__getattr__(name)
 
     torch.ops.lightfield_gs = Namespace("lightfield_gs")

@@ -10,11 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour, background_tensor
+from lightfield_gs.base.arrays import Colour, background_tensor, is_eager, to_bytes
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import METHODS, ONLY_FOR, OUTPUTS, VIEWS, Method, Output, QualityName, Views
 from lightfield_gs.encoding.classic import classic_with_gradients, encode_classic
+from lightfield_gs.encoding.compiled import encode_in_graph
 from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
 from lightfield_gs.panels.optics import LENS, Optics
@@ -60,6 +61,9 @@ def encode(
     optics: Optics | None = None,
 ) -> Tensor:
     """Draw the image [H, W, 3] of a scene for a panel. The camera of a view sees the sub-pixels of this view.
+
+    Under torch.compile, torch.export and torch.func, and of meta tensors, "direct" draws alone, exactly, and values are
+    not checked.
 
     Args:
         gaussians: one scene, [N, ...].
@@ -138,7 +142,10 @@ def encode(
     gaussians = gaussians.to(dtype=torch.float64 if output == "float64" else torch.float32)
     fields = gaussians.fields().values()
     colour = background_tensor(background, gaussians.means).reshape(-1)
-    if wants_gradients(fields, colour, output, cameras, optics):
+    traced = not is_eager((*fields, colour))
+    if traced:
+        check_traced(method, optics)
+    if wants_gradients(fields, colour, output, cameras, optics) or traced:
         if method == "sorted":
             refuse_gradients("method 'sorted'")
         refuse_with_gradients(
@@ -154,11 +161,16 @@ def encode(
         if method == "classic":
             refuse_with_gradients(view_filter=view_filter > 0)
             return classic_with_gradients(gaussians, panel, cast(Rig, rig), continuous, colour, antialiased)
+        if torch.compiler.is_dynamo_compiling():
+            lens = panel, cast(Rig, rig), continuous, view_filter
+            image = encode_in_graph(tuple(fields), colour, *lens, antialiased)
+            return to_bytes(image.detach().clone()) if as_bytes else image
         camera = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter)
         if optics is not None and learned:
             numbers = optics.rig_numbers(panel, cast(Rig, rig), view_filter)
             return render_with_optics(list(fields), colour, camera, antialiased, numbers, optics.lens_numbers(panel))
-        return render_direct(*fields, colour, *camera.numbers(), antialiased)
+        image = render_direct(*fields, colour, *camera.numbers(), antialiased)
+        return to_bytes(image.detach().clone()) if as_bytes else image
     counters = Stats(device=gaussians.means.device if stats is not None else None)
     if method == "direct":
         camera = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter)
@@ -228,7 +240,7 @@ def check_types(
     gaussians.validate_layout()
     if gaussians.is_batched:
         raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
-    if not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
+    if torch.compiler.is_compiling() or not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
         check_values(gaussians)  # reads values, which waits for the device: forbidden in a stream that captures
 
 
@@ -310,6 +322,20 @@ def check_webgpu(device: str, output: Output) -> None:
         raise InputError(f"device={device!r} draws output 'uint8' or 'float32': 'float64' needs device=None")
 
 
+def check_traced(method: Method, optics: Optics | None) -> None:
+    """Raise InputError for arguments that need values, where values cannot be read (arrays.is_eager)."""
+    if method != "direct":
+        raise InputError(
+            f"method {method!r} reads values, and there are none under torch.compile, torch.export and torch.func: use "
+            "method 'direct'"
+        )
+    if optics is not None:
+        raise InputError(
+            "optics: their values are read, and there are none under torch.compile, torch.export and torch.func: leave "
+            "them out, or call encode outside"
+        )
+
+
 def check_learned(names: list[str], method: Method, continuous: bool) -> None:
     """Raise InputError where these tensors of Optics ask for gradients that there are none of."""
     if method != "direct":
@@ -356,4 +382,7 @@ def refuse_gradients(what: str) -> None:
 def refuse_with_gradients(**given: bool) -> None:
     """Raise InputError for the first of these arguments that was given although gradients are wanted."""
     for name in (name for name, is_given in given.items() if is_given):
-        raise InputError(f"{name}= is for images without gradients: use torch.no_grad(), or leave it out")
+        raise InputError(
+            f"{name}= is for images without gradients that no torch.compile or torch.func traces: use torch.no_grad() "
+            "outside of these, or leave it out"
+        )
