@@ -53,7 +53,7 @@ class NotebookPicture:
     Attributes:
         frames: uint8 [h, w, 3] each, all of one size, the left-most first; none where there is nothing to see.
         facts: what they show, and what is left out.
-        is_drawing: whether the frames have few colours, and are stored without loss.
+        is_drawing: whether the frames have few colours; the one that is seen without scripts has no loss then.
     """
 
     frames: Sequence[np.ndarray]

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from subject_cases import floaters, joined, thing
 
 from lightfield_gs import Cameras, FitResult, Gaussians, InputError, NotebookPicture, Panel, Rig, render
 from lightfield_gs.base.harmonics import SH_CONSTANT
@@ -42,6 +43,13 @@ def test_a_turn_begins_behind_and_passes_the_front_and_the_right():
     assert place(right, green)[1] > 500 and place(right, red)[1] == 0
     assert place(left, red)[1] > 500 and place(left, green)[1] == 0
     assert place(scene.show().frames[12], red)[0] < 180  # rests in front
+
+
+def test_a_subject_is_drawn_without_what_is_far_around_it():
+    alone, among = thing(), joined(thing(), floaters(300, 20, 60))
+    shown = NotebookPicture.of_gaussians(among)
+    assert "the subject alone is drawn" in shown.facts
+    assert np.array_equal(shown.frames, NotebookPicture.of_gaussians(alone).frames)
 
 
 def test_many_gaussians_are_thinned_and_that_is_said():
