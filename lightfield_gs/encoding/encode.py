@@ -60,13 +60,13 @@ def encode(
     device: str | None = None,
     optics: Optics | None = None,
 ) -> Tensor:
-    """Draw the image [H, W, 3] of a scene for a panel. The camera of a view sees the sub-pixels of this view.
+    """Draw the image [..., H, W, 3] of a scene for a panel. The camera of a view sees the sub-pixels of this view.
 
     Under torch.compile, torch.export and torch.func, and of meta tensors, "direct" draws alone, exactly, and values are
     not checked.
 
     Args:
-        gaussians: one scene, [N, ...].
+        gaussians: one scene, [N, ...]; or B sets [B, N, ...], drawn one after another by the same panel and rig.
         panel: its lens determines the view of each sub-pixel.
         rig: the fan of cameras behind the views; not needed by "sorted" with cameras.
         method: "direct" renders only the sub-pixels; all cameras of the rig share one projection and one sort. "sorted"
@@ -115,6 +115,27 @@ def encode(
     Raises:
         InputError: an argument has a wrong type, shape or value, or belongs to another method.
     """
+    if isinstance(gaussians, Gaussians) and gaussians.is_batched:
+        return _encode_sets(
+            gaussians,
+            stats,
+            out,
+            panel=panel,
+            rig=rig,
+            method=method,
+            views=views,
+            cameras=cameras,
+            view_map=view_map,
+            memory_budget=memory_budget,
+            background=background,
+            output=output,
+            quality=quality,
+            threads=threads,
+            antialiased=antialiased,
+            view_filter=view_filter,
+            device=device,
+            optics=optics,
+        )
     check_types(method, views, output, gaussians, panel, rig, cameras, stats, antialiased)
     expect("optics", optics, Optics, type(None))
     quality, view_filter, threads, memory_budget = check_together(
@@ -204,6 +225,24 @@ def encode(
     return image
 
 
+def _encode_sets(gaussians: Gaussians, stats: object, out: Tensor | None, **others: Any) -> Tensor:
+    """Draw each of B sets of Gaussians, [B, H, W, 3]; others: arguments of encode."""
+    gaussians.validate_layout()
+    sets = len(gaussians.means)
+    if stats is not None:
+        raise InputError(f"stats= tells of one scene, and there are {sets} sets of Gaussians: leave it out")
+    expect("out", out, Tensor, type(None))
+    if sets == 0 or out is not None and (out.dim() != 4 or len(out) != sets):
+        got = "0 sets of Gaussians" if out is None else f"{sets} sets of Gaussians and out {list(out.shape)}"
+        raise InputError(f"gaussians: expected at least one set, and out [sets, H, W, 3] or none, got {got}")
+    into = [None] * sets if out is None else out.unbind()
+    images = []
+    for row, image in enumerate(into):
+        fields: dict[str, Any] = {name: tensor[row] for name, tensor in gaussians.fields().items()}
+        images.append(encode(replace(gaussians, **fields), out=image, **others))
+    return torch.stack(images) if out is None else out
+
+
 def check_options(method: str, views: str, output: str) -> None:
     """Raise InputError for a method, views or output that `encode` does not know."""
     for name, value in (("method", method), ("views", views), ("output", output)):
@@ -238,8 +277,6 @@ def check_types(
     ):
         expect(name, value, *kinds)
     gaussians.validate_layout()
-    if gaussians.is_batched:
-        raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
     if torch.compiler.is_compiling() or not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
         check_values(gaussians)  # reads values, which waits for the device: forbidden in a stream that captures
 

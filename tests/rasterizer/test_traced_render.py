@@ -172,6 +172,28 @@ def test_other_panels_and_rigs_need_few_graphs():
     assert torch.equal(call(*given, fan=fan), light_field(*given, fan=fan))
 
 
+def test_sets_of_gaussians_are_drawn_each():
+    sets = [torch.stack([t, t * (1 if t.dim() == 1 else 1.1)]) for t in fields()]
+    leaves = [t.clone().requires_grad_() for t in sets]
+    images = light_field(*leaves, **LENS)
+    assert images.shape == (2, 5, 9, 3)
+    found = gradients([images], leaves)
+    for row in range(2):
+        one = [t[row].clone().requires_grad_() for t in sets]
+        image = light_field(*one, **LENS)
+        assert torch.equal(images[row], image)
+        for have, true in zip(found, gradients([image], one)):
+            assert torch.equal(have[row], true)
+    scenes, out = lf.Gaussians(*sets), torch.empty(2, 5, 9, 3, dtype=torch.uint8)
+    assert lf.encode(scenes, SHOWN, FAN, out=out) is out
+    assert torch.equal(out[1], lf.encode(scenes.mapped(lambda t: t[1]), SHOWN, FAN))
+    for wrong in (dict(stats={}), dict(out=out[:1]), dict(out=out[0])):
+        with pytest.raises(lf.InputError, match="sets"):
+            lf.encode(scenes, SHOWN, FAN, **wrong)
+    with pytest.raises(lf.InputError, match="at least one set"):
+        lf.encode(lf.Gaussians(*(t[:0] for t in sets)), SHOWN, FAN)
+
+
 def test_an_exported_encode_and_its_transforms_are_the_same():
     given = tuple(fields())
 
