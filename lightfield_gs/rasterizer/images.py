@@ -133,6 +133,7 @@ def render(
     The images are differentiable once, in the five fields of the Gaussians, features, colors, covars, the background
     and the cameras: their poses (world_to_camera and world_to_camera_end), focal_px, principal_point_px and
     jacobian_limits. Where limits are None, they follow from the other two, and so do their gradients.
+    Under torch.compile, torch.export and torch.func, and of meta tensors, values are not checked.
 
     Args:
         gaussians: [N, ...] with cameras [C, ...]; or [B, N, ...] with cameras [B, C, ...], or with the same cameras
