@@ -181,7 +181,8 @@ def camera_gradients(cameras: Sequence[Tensor], g_poses: Tensor, g_optics: Tenso
         g_poses: As in ImageGradients; without images it stands for zeros, and so does g_optics.
         g_optics: Likewise.
     """
-    found = (g_poses, *g_optics.split([cameras[1].shape[-1], cameras[2].shape[-1]], -1))
+    parts = g_optics.split([cameras[1].shape[-1], cameras[2].shape[-1]], -1)
+    found = (g_poses, *(part.clone() for part in parts))  # outputs of an operator share no memory
     shaped = [g.reshape(t.shape) if len(g) else torch.zeros_like(t) for t, g in zip(cameras, found)]
     return shaped[0], shaped[1], shaped[2]
 
