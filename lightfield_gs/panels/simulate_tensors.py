@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 from torch import Tensor
-from torch.nn import functional
 
 from lightfield_gs.base.checks import expect, real_number
 from lightfield_gs.base.errors import InputError
@@ -47,17 +45,62 @@ def simulate_with_gradients(
         )
     eye = checked_eye(eye_mm)
     spread = real_number("spread_subpixels", spread_subpixels, *SPREADS)
-    light = _light(panel, eye, spread, optics or Optics(), image)
-    lit, weight = (_blurred(_cell_sums(values, panel)) for values in (light * image, light))
+    given = optics or Optics()
+    given.panel(panel)  # raises InputError where a number is out of its range
+    return _perceived(image, panel, eye, spread, given, slice(None))
+
+
+def simulate_rows(
+    image: Tensor, panel: Panel, eye_mm: tuple[float, float, float], rows: slice, optics: Optics
+) -> Tensor:
+    """Return rows of cells of the pictures of simulate_with_gradients, in less memory.
+
+    Args:
+        image: As there, and so are the others; they are not checked.
+        panel: See there.
+        eye_mm: See there.
+        rows: Of the pictures.
+        optics: See there.
+    """
+    return _perceived(image, panel, eye_mm, 1.0, optics, rows)
+
+
+def cell_count(panel: Panel) -> tuple[int, int]:
+    """Return the height and width of a simulated picture, in cells."""
+    rows, columns = (len(cell_borders(size, panel.line_number)) - 1 for size in (panel.height_px, panel.width_px))
+    return rows, columns
+
+
+def _perceived(
+    image: Tensor, panel: Panel, eye: tuple[float, float, float], spread: float, optics: Optics, cells: slice
+) -> Tensor:
+    """Return the rows of cells `cells` of simulate_with_gradients, whose arguments are checked."""
+    down = _cell_weights(panel.height_px, panel.line_number)[cells].to(image)
+    across = _cell_weights(panel.width_px, panel.line_number).to(image)
+    used = down.any(0).nonzero().flatten()
+    rows = slice(int(used[0]), int(used[-1]) + 1)
+    light = _light(panel, eye, spread, optics, image, torch.arange(rows.start, rows.stop))
+    lit, weight = (
+        torch.einsum("hr,...rwc,xw->...hxc", down[:, rows], values, across)
+        for values in (light * image[..., rows, :, :], light)
+    )
     return lit / weight
 
 
-def _light(panel: Panel, eye: tuple[float, float, float], spread: float, optics: Optics, like: Tensor) -> Tensor:
-    """Return the brightness of the sub-pixels, [H, W, 3], of the dtype and on the device of `like`."""
-    optics.panel(panel)  # raises InputError where a number is out of its range
-    lens = optics.lens_numbers(panel)
+def _cell_weights(size_px: int, lens_subpixels: float) -> Tensor:
+    """Return the weights [cells, size_px] of pixels in cells: 2 in a cell of their own, 1 in its neighbours."""
+    borders = torch.from_numpy(cell_borders(size_px, lens_subpixels))
+    own = torch.searchsorted(borders, torch.arange(size_px), right=True) - 1
+    apart = (torch.arange(len(borders) - 1)[:, None] - own).abs()
+    return (2 - apart).clamp_min(0).double()
+
+
+def _light(
+    panel: Panel, eye: tuple[float, float, float], spread: float, optics: Optics, like: Tensor, rows: Tensor
+) -> Tensor:
+    """Return the brightness of the sub-pixels of rows, [rows, W, 3], of the dtype and on the device of `like`."""
+    lens, columns = optics.lens_numbers(panel), torch.arange(panel.width_px)
     path = eye_path(panel, eye, lens.line_number, lens.slant_tan, lens.phase, optics.half_cone_tan(panel))
-    rows, columns = torch.arange(panel.height_px), torch.arange(panel.width_px)
     along = 3 * columns[:, None] + lens.offsets[:, columns % PERIOD] + (lens.phase - path.middle)
     turns = (path.slope * along + path.shift).to(like.device)[rows % PERIOD]
     turns = turns + (path.slope * 3 * lens.slant_tan * rows).to(like.device)[:, None, None]
@@ -65,21 +108,3 @@ def _light(panel: Panel, eye: tuple[float, float, float], spread: float, optics:
     sigma = (spread * FWHM_TO_SIGMA / lens.line_number).to(like.device)
     faint = 1e-20  # a cell keeps a colour even if all its sub-pixels are dark
     return torch.exp(-((turns / (sigma * math.sqrt(2))) ** 2)).to(like.dtype) + faint
-
-
-def _cell_sums(values: Tensor, panel: Panel) -> Tensor:
-    """Return the sums [..., h, w, 3] of values [..., H, W, 3] over cells about one lens wide."""
-    for axis, size in ((-3, panel.height_px), (-2, panel.width_px)):
-        borders = cell_borders(size, panel.line_number)
-        cells = torch.from_numpy(np.repeat(np.arange(len(borders) - 1), np.diff(borders))).to(values.device)
-        shape = list(values.shape)
-        shape[axis] = len(borders) - 1
-        values = values.new_zeros(shape).index_add(axis, cells, values)
-    return values
-
-
-def _blurred(cells: Tensor) -> Tensor:
-    """Return cells [..., h, w, 3], each joined with its neighbours by the weights 1 2 1 both ways."""
-    padded = functional.pad(cells, (0, 0, 1, 1, 1, 1))
-    across = padded[..., :-2, :] + 2 * padded[..., 1:-1, :] + padded[..., 2:, :]
-    return across[..., :-2, :, :] + 2 * across[..., 1:-1, :, :] + across[..., 2:, :, :]
