@@ -89,7 +89,11 @@ def rows(
         start = replace(base, line_number=line_number, slant_tan=slant)
         true = perturbed(start, random)
         sights = [
-            Viewpoint(eye, tuple(photograph(bars(start, s), true, eye, noise=noise, seed=s) for s in range(3)), CORNERS)
+            Viewpoint(
+                eye,
+                tuple(photograph(bars(start, s), true, eye, noise=noise, seed=s) for s in range(3)),
+                CORNERS.tolist(),
+            )
             for eye in EYES
         ]
         begun = time.perf_counter()

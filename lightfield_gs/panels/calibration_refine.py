@@ -75,7 +75,8 @@ def refine_lens(viewpoints: Sequence[Viewpoint], start: Panel, fit: CalibrationF
     numbers = np.array([1 / lens.line_number, lens.slant_tan / lens.line_number, phase_in_middle(lens)])
     # Each number in units that move the phase at the edge by one lens width
     units = np.array([2 / (3 * start.width_px), 2 / (3 * start.height_px), 1.0])
-    best = step = change = np.zeros(3)
+    best: np.ndarray = np.zeros(3)
+    step, change = best, best
     first, least = None, np.inf
     for _ in range(_CONSTANTS.rounds):
         normal, left, misfit = np.zeros((3, 3)), np.zeros(3), 0.0

@@ -1,6 +1,7 @@
 """`lightfield-gs calibrate`: patterns written, profiles nudged in their own format."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
