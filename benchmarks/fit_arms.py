@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 from torch import Tensor
 
@@ -15,7 +15,7 @@ from benchmarks.gsplat_fit import BLACK, PeerFit, Recipe
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import options
 from lightfield_gs.fitting.optimizer import GaussianState
-from lightfield_gs.fitting.settings import Density, FitSettings, LossName
+from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.fitting.vgg16 import fetch_weights
 from lightfield_gs.rasterizer.images import render
@@ -55,8 +55,8 @@ class OurFit:
         return render(self.gaussians(), cameras, background=BLACK).image
 
 
-def _ours(density: Density, loss: LossName, photographs: Photographs, settings: FitSettings) -> Fit:
-    return OurFit(photographs, replace(settings, density=density, loss=loss))
+def _ours(changes: dict[str, Any], photographs: Photographs, settings: FitSettings) -> Fit:
+    return OurFit(photographs, replace(settings, **changes))
 
 
 def _peer(recipe: Recipe, photographs: Photographs, settings: FitSettings) -> Fit:
@@ -75,9 +75,10 @@ PEER_ARMS = {
 }
 WD_ARM = "ours-wd"
 ARMS: dict[str, Callable[[Photographs, FitSettings], Fit]] = {
-    "ours": partial(_ours, "mcmc", "l1-ssim"),
-    "ours-adaptive": partial(_ours, "adaptive", "l1-ssim"),
-    WD_ARM: partial(_ours, "mcmc", "wd"),
+    "ours": partial(_ours, {}),
+    "ours-exposure": partial(_ours, {"exposure": True}),
+    "ours-adaptive": partial(_ours, {"density": "adaptive"}),
+    WD_ARM: partial(_ours, {"loss": "wd"}),
     **{name: partial(_peer, recipe) for name, recipe in PEER_ARMS.items()},
 }
 OURS = "ours"

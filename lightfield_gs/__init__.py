@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from lightfield_gs.base.registration import register_with_torch
+
 if TYPE_CHECKING:
     from lightfield_gs.base.errors import InputError
     from lightfield_gs.encoding.classic import interlace
@@ -116,6 +118,9 @@ if not TYPE_CHECKING:  # to a checker, every name would be there
             raise AttributeError(f"module 'lightfield_gs' has no attribute {name!r}")
         value = globals()[name] = getattr(import_module(f"lightfield_gs.{_HOMES[name]}"), name)
         return value
+
+
+register_with_torch()
 
 
 def __dir__() -> list[str]:

@@ -17,12 +17,13 @@ from torch import Tensor
 from lightfield_gs.base.checks import expect, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import RENDER_MODES, CameraModel, RenderMode
+from lightfield_gs.fitting.selective_adam import SelectiveAdam
 from lightfield_gs.fitting.strategies import DefaultStrategy, MCMCStrategy
 from lightfield_gs.rasterizer.images import RenderedImages, render
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
-__all__ = ["DefaultStrategy", "MCMCStrategy", "rasterization"]
+__all__ = ["DefaultStrategy", "MCMCStrategy", "SelectiveAdam", "rasterization"]
 
 _TILE = 16
 _MODELS: dict[str, CameraModel] = {"pinhole": "pinhole", "ortho": "orthographic", "fisheye": "fisheye"}

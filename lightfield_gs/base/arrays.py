@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import Parameter
 
 from lightfield_gs.base.checks import expect, shown, wrong_type
 from lightfield_gs.base.errors import InputError
@@ -15,12 +17,26 @@ from lightfield_gs.base.errors import InputError
 Colour = Sequence[float] | np.ndarray | Tensor  # red, green and blue, or anything that broadcasts to them
 
 
-def to_tensor(what: str, value: np.ndarray | Tensor) -> Tensor:
+def is_eager(arguments: tuple) -> bool:
+    """Return whether all tensors are plain and have values, and nothing traces, transforms or compiles what is called.
+
+    Else values cannot be read, and are not checked. The function of an operator may be called without the operator only
+    if this is true.
+    """
+    if torch.compiler.is_compiling():
+        return False
+    if torch._C._are_functorch_transforms_active() or torch._C._len_torch_dispatch_stack():
+        return False
+    return all(type(t) in (Tensor, Parameter) and not t.is_meta for t in arguments if isinstance(t, Tensor))
+
+
+def to_tensor(what: str, value: np.ndarray | Tensor, meta: bool = False) -> Tensor:
     """Return `value` as a dense tensor, without a copy if possible.
 
     Args:
         what: name of the value in messages.
         value: real numbers.
+        meta: whether a tensor may be without values.
 
     Raises:
         InputError: the value is no array or tensor of real numbers, or is sparse.
@@ -31,7 +47,7 @@ def to_tensor(what: str, value: np.ndarray | Tensor) -> Tensor:
             value = torch.from_numpy(np.ascontiguousarray(value))
         except TypeError:
             raise InputError(f"{what}: expected numbers, got {value.dtype}") from None
-    if value.layout != torch.strided or value.is_meta:
+    if value.layout != torch.strided or value.is_meta and not meta:
         raise InputError(f"{what}: expected a dense tensor, got {value.layout} on {value.device}")
     if value.is_complex():
         raise InputError(f"{what}: expected real numbers, got {value.dtype}")
@@ -83,6 +99,8 @@ def check_tensor(
 def background_tensor(background: Colour, like: Tensor) -> Tensor:
     """Return a background as a tensor [..., 3] of the dtype and on the device of `like`. Raises InputError."""
     if isinstance(background, (tuple, list)) and all(isinstance(c, (int, float)) for c in background):
+        if not is_eager((like,)):
+            return like.new_tensor(_checked_numbers(background))
         if like.is_cuda and torch.cuda.is_current_stream_capturing():
             return _captured_background(background, like)
         return _constant_background(tuple(background), like.dtype, like.device)
@@ -94,15 +112,31 @@ def _captured_background(background: Sequence[float], like: Tensor) -> Tensor:
 
     A graph would keep only the address of an outside tensor, where other data may lie at a replay.
     """
-    numbers = _checked_background(background, like.dtype, torch.device("cpu")).tolist()
-    return torch.stack([like.new_full((), number) for number in numbers])
+    return torch.stack([like.new_full((), number) for number in _checked_numbers(background)])
 
 
 @lru_cache(maxsize=64)
 def _constant_background(background: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
     """Return a background of plain numbers; cached, for each copy to a device waits for the device."""
     with torch.inference_mode(False):  # it may be part of a graph of gradients later
-        return _checked_background(background, dtype, device)
+        return torch.tensor(_checked_numbers(background), dtype=dtype, device=device)
+
+
+def _checked_numbers(background: Sequence[float]) -> list[float]:
+    """Return plain numbers of a background. Raises InputError."""
+    if len(background) != 3 or not all(-math.inf < number < math.inf for number in background):
+        raise _not_three(shown(background))
+    if not all(0 <= number <= 1 for number in background):
+        raise _too_large(background)
+    return list(background)
+
+
+def _not_three(got: str) -> InputError:
+    return InputError(f"background must be three finite numbers R, G, B in 0..1, got {got}")
+
+
+def _too_large(background: Colour) -> InputError:
+    return InputError(f"background must be three numbers R, G, B in 0..1, got {shown(background)}; divide bytes by 255")
 
 
 def _checked_background(background: Colour, dtype: torch.dtype, device: torch.device) -> Tensor:
@@ -112,18 +146,14 @@ def _checked_background(background: Colour, dtype: torch.dtype, device: torch.de
     """
     plain = True
     if isinstance(background, (Tensor, np.ndarray)):
-        plain, background = False, to_tensor("background", background)
-    there = isinstance(background, Tensor) and background.is_cuda
+        plain, background = False, to_tensor("background", background, device.type == "meta")
+    unread = isinstance(background, Tensor) and (background.is_cuda or not is_eager((background,)))
     try:
         colour = torch.as_tensor(background, dtype=dtype, device=device)
     except (TypeError, ValueError, RuntimeError, OverflowError):
-        raise InputError(
-            f"background must be three finite numbers R, G, B in 0..1, got {type(background).__name__}"
-        ) from None
-    if colour.dim() == 0 or colour.shape[-1] != 3 or not (there or bool(torch.isfinite(colour).all())):
-        raise InputError(f"background must be three finite numbers R, G, B in 0..1, got {shown(background)}")
+        raise _not_three(type(background).__name__) from None
+    if colour.dim() == 0 or colour.shape[-1] != 3 or not (unread or bool(torch.isfinite(colour).all())):
+        raise _not_three(shown(background))
     if plain and not bool(((colour >= 0) & (colour <= 1)).all()):
-        raise InputError(
-            f"background must be three numbers R, G, B in 0..1, got {shown(background)}; divide bytes by 255"
-        )
+        raise _too_large(background)
     return colour

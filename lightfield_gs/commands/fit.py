@@ -126,7 +126,7 @@ def _say(options: FitOptions, result: FitResult, folder: Path) -> None:
     from lightfield_gs.fitting.evaluate import describe_protocol
 
     if result.scores is not None:
-        print(f"{result.scores.table()}\n{describe_protocol(result.settings.poses)}")
+        print(f"{result.scores.table()}\n{describe_protocol(result.settings)}")
         _say_angles(result)
     print(f"{options.output}: {result.gaussians.count} Gaussians after {result.steps} of {result.settings.steps} steps")
     words: list[object] = ["encode", options.output, "-o", options.output.with_suffix(".png")]

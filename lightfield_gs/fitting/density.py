@@ -219,8 +219,7 @@ def refine_adaptive(
     """
     largest, gradients = state.scales.amax(1), statistics.gradients / statistics.drawn.clamp_min(1)
     small = largest <= settings.grow_scale3d
-    # Before the first reset a huge Gaussian may only be there for want of smaller ones
-    most = settings.prune_scale3d if step > settings.scaled(settings.reset_every) else math.inf
+    most = settings.prune_scale3d if step > settings.scaled(settings.prune_start_iter) else math.inf
     alive = state.opacities >= settings.min_opacity
     fits_whole, fits_split = alive & (largest <= most), alive & ~small & (largest / _SHRINK <= most)
     wanting = (gradients >= _grow_threshold(settings)) & torch.where(small, fits_whole, fits_split)

@@ -29,19 +29,20 @@ _ALIGNED = (
     "poses were refined in the fit, so those of the held-out photographs were moved to where each fits best, with the "
     "scene as it is, before they were scored"
 )
+_MATCHED = (
+    "exposures were fitted, and no fit knows those of held-out photographs, so each render was scored after the affine "
+    "change of its colours that suits its photograph best"
+)
 _LEAST_ERROR = 1e-10  # mean squared: equal images have 100 dB
 _ALIGN_STEPS, _ALIGN_LR = 100, 1e-3  # of each camera; the learning rate at the start, extents and radians
 # Edges of the rows by angle, degrees: fine where panels are, coarse beyond
 EDGES_DEG = (0, 5, 10, 15, 20, 25, 30, 45, 90, 180)
 
 
-def describe_protocol(aligned: bool) -> str:
-    """Return in words how scores are made.
-
-    Args:
-        aligned: Whether the held-out poses are refined first, see align_poses.
-    """
-    return f"{_PROTOCOL}; {_ALIGNED}" if aligned else _PROTOCOL
+def describe_protocol(settings: FitSettings) -> str:
+    """Return in words how the scores of a fit are made."""
+    changes = [words for words, is_made in ((_ALIGNED, settings.poses), (_MATCHED, settings.exposure)) if is_made]
+    return "; ".join([_PROTOCOL, *changes])
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,11 @@ class Scores:
 
 
 def evaluate(
-    gaussians: Gaussians, images: PosedImages, background: tuple[float, float, float], antialiased: bool = False
+    gaussians: Gaussians,
+    images: PosedImages,
+    background: tuple[float, float, float],
+    antialiased: bool = False,
+    matched: bool = False,
 ) -> Scores:
     """Score a scene by photographs, one after the other.
 
@@ -93,10 +98,12 @@ def evaluate(
         images: the photographs.
         background: red, green and blue in 0..1.
         antialiased: the scene's render mode.
+        matched: match the colours of each render to its photograph first, see match_colours.
     """
     psnr, structure = [], []
     for index in range(images.count):
         image, photo, weights = render_and_photo(gaussians, images, index, background, antialiased)
+        image = match_colours(image, photo, weights) if matched else image
         psnr.append(weighted_psnr_db(image, photo, weights))
         structure.append(weighted_ssim(image, photo, weights))
     return Scores(list(images.names), psnr, structure)

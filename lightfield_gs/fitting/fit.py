@@ -35,6 +35,7 @@ from lightfield_gs.fitting.checkpoint import Identity, loss_name
 from lightfield_gs.fitting.cone import Display, place_display
 from lightfield_gs.fitting.distributed import Group, join_group
 from lightfield_gs.fitting.evaluate import ConeAngles, Scores
+from lightfield_gs.fitting.exposure_spread import LEAST_SPREAD, exposure_spread
 from lightfield_gs.fitting.initialization import initialize_gaussians
 from lightfield_gs.fitting.memory import MemoryEstimate, estimate_memory, smaller_sizes
 from lightfield_gs.fitting.optimizer import GaussianState
@@ -108,7 +109,17 @@ class FitResult:
         if (shown := self.display or self.front) is None:
             drawn = NotebookPicture.of_gaussians(self.gaussians, frames)
         else:
-            drawn = NotebookPicture.of_views(self.gaussians, shown.panel, shown.rig, frames)
+            rig = shown.rig.relative_to(self.gaussians.origin)
+            colour = self.settings.background or (1.0, 1.0, 1.0)
+            drawn = NotebookPicture.of_views(
+                self.gaussians,
+                shown.panel,
+                rig,
+                frames,
+                background=colour,
+                antialiased=self.settings.antialiased,
+                name=None if self.display is not None else f"views round photograph {shown.cone.name}",
+            )
         facts = f"fit of {self.steps} steps{', stopped' if self.stopped else ''}"
         if self.scores is not None:
             held_out = counted(len(self.scores.names), "held-out photograph")
@@ -141,6 +152,7 @@ def fit(
     steps: int = 30_000,
     cap_max: int = 300_000,
     density: Density = "mcmc",
+    exposure: bool | None = None,
     test_every: TestEvery = "own",
     test_names: Sequence[str] | None = None,
     cone: Panel | str | Path | float | None = None,
@@ -175,6 +187,8 @@ def fit(
         steps: number of steps.
         cap_max: number of Gaussians at the end, or at most with "adaptive" density.
         density: "mcmc" or "adaptive".
+        exposure: fit an affine change of colours for each photograph. None: if their exposures differ, see
+            exposure_spread.
         test_every: k holds out the middle one of every k photographs for scores; None holds out none. "own" holds out
             the capture's own test photographs, or one of every 8.
         test_names: the photographs to hold out instead.
@@ -216,7 +230,8 @@ def fit(
             f"loss: expected {', '.join(LOSSES)}, or a function of renders, photographs and weights, got {shown(loss)}"
         )
     named_loss = {"loss": loss} if own_loss is None else {}
-    chosen = make_settings(steps=steps, cap_max=cap_max, density=density, **named_loss, **settings)
+    named = {"steps": steps, "cap_max": cap_max, "density": density, **named_loss, **settings}
+    chosen = make_settings(exposure=False if exposure is None else exposure, **named)
     where = None if folder is None else checked_path(folder)
     options = RunOptions(
         where,
@@ -251,6 +266,8 @@ def fit(
             return Placement.choose(_estimate(one, chosen, own), room, photos_on, moments_on)
 
         read = read if group.size > 1 else _fit_memory(read, place, options)
+        if exposure is None:
+            chosen = replace(chosen, exposure=_needs_exposure(read, train))
         placement = place(read)
         for line in placement.assumptions(photos_on, moments_on):
             assume(line)
@@ -317,6 +334,18 @@ def _fit_memory(capture: Capture, place: Callable[[Capture], Placement], options
             )
             return smaller
     return capture
+
+
+def _needs_exposure(capture: Capture, indices: list[int]) -> bool:
+    """Return whether the exposures of photographs differ, with a note where they do."""
+    spread = exposure_spread(capture, indices)
+    if spread is None or spread < LEAST_SPREAD:
+        return False
+    assume(
+        f"exposures of the photographs differ by {spread:.1%}: a change of colours is fitted for each, and held-out "
+        "photographs are scored with colours matched (exposure=False leaves both out)"
+    )
+    return True
 
 
 def make_settings(**values: Any) -> FitSettings:

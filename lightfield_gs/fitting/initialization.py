@@ -14,7 +14,7 @@ from lightfield_gs.scene.gaussians import Gaussians
 
 _FEWEST_POINTS = 100  # fewer say too little about the scene
 _NEIGHBOURS = 3
-_OPACITY, _SCALE = {"mcmc": 0.5, "adaptive": 0.1}, {"mcmc": 0.1, "adaptive": 1.0}
+_OPACITY = {"mcmc": 0.5, "adaptive": 0.1}
 
 
 def initialize_gaussians(
@@ -42,9 +42,8 @@ def initialize_gaussians(
         assume(f"{len(kept)} of {len(points)} points are used: no more Gaussians were asked for")
         points, colours = points[kept], colours[kept]
     opacity = _OPACITY[settings.density] if settings.init_opa is None else settings.init_opa
-    factor = _SCALE[settings.density] if settings.init_scale is None else settings.init_scale
     means = torch.from_numpy(np.ascontiguousarray(points, dtype=np.float32))
-    scales = (neighbour_distances(points) * factor).float()[:, None].repeat(1, 3)
+    scales = (neighbour_distances(points) * settings.init_scale).float()[:, None].repeat(1, 3)
     quaternions = torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(len(means), 1)
     sh = (torch.from_numpy(np.asarray(colours, np.float32) / 255)[:, None] - 0.5) / SH_CONSTANT
     return Gaussians(means, quaternions, scales, torch.full((len(means),), opacity), sh.contiguous())

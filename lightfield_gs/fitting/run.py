@@ -206,7 +206,7 @@ class Run:
     def score(self, gaussians: Gaussians, images: PosedImages) -> Scores:
         """Score a scene in normalised coordinates by photographs from align_held_out."""
         settings = self.trainer.settings
-        return evaluate(gaussians, images, settings.steady_background, settings.antialiased)
+        return evaluate(gaussians, images, settings.steady_background, settings.antialiased, settings.exposure)
 
     def _evaluate(self) -> None:
         trainer, settings = self.trainer, self.trainer.settings
@@ -220,7 +220,9 @@ class Run:
         self._progress.scores(trainer.done, scores.mean_psnr_db, scores.mean_ssim)
         self._progress.say(
             f"step {trainer.done}: held-out PSNR {scores.mean_psnr_db:.2f} dB, SSIM {scores.mean_ssim:.4f}, "
-            f"{trainer.state.count} Gaussians" + (", held-out poses aligned" if settings.poses else "")
+            f"{trainer.state.count} Gaussians"
+            + (", held-out poses aligned" if settings.poses else "")
+            + (", colours matched" if settings.exposure else "")
         )
         self.write_scores()
 
@@ -228,7 +230,7 @@ class Run:
         """Write scores.json, if there are a folder and scores. more: further fields."""
         if self._folder is not None and (scores := self.scores) is not None:
             by_angle = {} if self.angles is None else {"angles": self.angles.to_dict(scores)}
-            words = describe_protocol(self.trainer.settings.poses)
+            words = describe_protocol(self.trainer.settings)
             content = {"protocol": words, "step": self.trainer.done, **scores.to_dict(), **by_angle, **more}
             content["history"] = self.history
             write_json(content, self._folder / "scores.json")

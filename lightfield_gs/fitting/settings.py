@@ -117,9 +117,9 @@ class FitSettings:
     exposure_lr: float = _real(1e-2)  # falls to a tenth
     poses_lr: float = _real(1e-5)  # extents and radians; falls to a hundredth
 
-    # The first Gaussians; scales are factors of the distance to neighbours. None: the default of `density`
+    # The first Gaussians; scales are factors of the distance to neighbours. init_opa None: the default of `density`
     init_opa: float | None = _real(None, 1e-6, 1.0)
-    init_scale: float | None = _real(None, 1e-6, 1e6)
+    init_scale: float = _real(1.0, 1e-6, 1e6)  # chosen on three captures, see docs/benchmarks.md
 
     sh_degree_interval: int = _whole(1000)
     # Density control, every refine_every steps between refine_start_iter and refine_stop_iter
@@ -137,8 +137,9 @@ class FitSettings:
     absgrad: bool = _flag(False)
     grow_grad2d: float | None = _real(None)  # in halves of the image; None: 2e-4, or 6e-4 with absgrad
     grow_scale3d: float = _real(0.01)  # in extents; smaller Gaussians are cloned, larger ones are split
-    prune_scale3d: float = _real(0.1)  # in extents
-    reset_every: int = _whole(3000)
+    prune_scale3d: float = _real(0.1)  # in extents; larger ones are removed after prune_start_iter
+    prune_start_iter: int = _whole(3000)  # before, a huge Gaussian may only be there for want of smaller ones
+    reset_every: int = _whole(0)  # steps between resets of opacities; 0: none, see docs/benchmarks.md
     # steps between sorts of the Gaussians along a Morton curve, while the density changes
     morton_every: int = _whole(5000)
 
@@ -183,8 +184,9 @@ class FitSettings:
 
         The last reset leaves enough steps for opacities to recover.
         """
-        is_due = step % self.scaled(self.reset_every) == 0 and step <= self.refine_end - self.scaled(_RECOVERY)
-        return self.density == "adaptive" and is_due
+        if self.density != "adaptive" or self.reset_every == 0:
+            return False
+        return step % self.scaled(self.reset_every) == 0 and step <= self.refine_end - self.scaled(_RECOVERY)
 
     def sorts_after(self, step: int) -> bool:
         """Tell whether Gaussians are sorted once `step` steps are done: every morton_every, and at refine_end."""

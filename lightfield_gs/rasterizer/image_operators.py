@@ -12,12 +12,12 @@ from typing import Any, NamedTuple, cast
 import torch
 from torch import Tensor
 
+from lightfield_gs.base.arrays import is_eager
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.image_render import ImageArguments, ImageBuffers, ImageInputs, ImageRender
 from lightfield_gs.rasterizer.operators import (
     LIBRARY,
     differentiable_once,
-    is_eager,
     operator_schema,
     register_batches,
     register_operator,
@@ -110,7 +110,9 @@ def fake_state(like: Tensor, images: int, count: int) -> RenderState:
         images: how many.
         count: of Gaussians.
     """
-    size = 0 if type(like) is Tensor else torch.library.get_ctx().new_dynamic_size()  # plain tensors here are meta
+    mode = getattr(like, "fake_mode", None)  # meta tensors have none
+    tracked = mode is not None and mode.shape_env is not None
+    size = torch.library.get_ctx().new_dynamic_size() if tracked else 0
     splats, colours = (like.new_empty(shape) for shape in RenderState.shapes(images, count, 0))
     return RenderState(splats, colours, like.new_empty(size, dtype=torch.uint8))
 
@@ -181,8 +183,8 @@ def camera_gradients(cameras: Sequence[Tensor], g_poses: Tensor, g_optics: Tenso
         g_poses: As in ImageGradients; without images it stands for zeros, and so does g_optics.
         g_optics: Likewise.
     """
-    parts = g_optics.split([cameras[1].shape[-1], cameras[2].shape[-1]], -1)
-    found = (g_poses, *(part.clone() for part in parts))  # outputs of an operator share no memory
+    # Copies: outputs of an operator may not share memory
+    found = (g_poses, *(g.clone() for g in g_optics.split([cameras[1].shape[-1], cameras[2].shape[-1]], -1)))
     shaped = [g.reshape(t.shape) if len(g) else torch.zeros_like(t) for t, g in zip(cameras, found)]
     return shaped[0], shaped[1], shaped[2]
 

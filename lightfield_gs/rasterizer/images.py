@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 import lightfield_gs
-from lightfield_gs.base.arrays import Colour, background_tensor, check_tensor
+from lightfield_gs.base.arrays import Colour, background_tensor, check_tensor, is_eager
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import RenderMode
@@ -133,6 +133,7 @@ def render(
     The images are differentiable once, in the five fields of the Gaussians, features, colors, covars, the background
     and the cameras: their poses (world_to_camera and world_to_camera_end), focal_px, principal_point_px and
     jacobian_limits. Where limits are None, they follow from the other two, and so do their gradients.
+    Under torch.compile, torch.export and torch.func, and of meta tensors, values are not checked.
 
     Args:
         gaussians: [N, ...] with cameras [C, ...]; or [B, N, ...] with cameras [B, C, ...], or with the same cameras
@@ -298,14 +299,14 @@ def _drawn(fields: tuple[Tensor, ...], view: View, options: RenderOptions, scree
     size = view.width, view.height, options.antialiased
     cameras = view[1:4]
     asked = screen is not None or any(t.requires_grad for t in (*fields, *view[:4]))
-    with_gradients = torch.is_grad_enabled() and asked
-    if not with_gradients and not options.reads_splats and not batched and options.render_mode == "RGB":
+    by_operator = torch.is_grad_enabled() and asked or not is_eager((*fields, *view[:4]))
+    if not by_operator and not options.reads_splats and not batched and options.render_mode == "RGB":
         wanted: dict[str, Any] = {"alpha": options.alpha or options.depth, "depth": options.depth, "model": view.model}
         return Drawn._make((*draw_in_chunks(batch, view.background, cameras, *size, **wanted), *(None,) * 4))
-    if with_gradients and not options.reads_splats and not batched:
+    if by_operator and not options.reads_splats and not batched:
         return Drawn(*render_scene(fields, view.background, cameras, (*size, screen, view.model)))
     draw: Callable[..., tuple[Tensor, ...]]
-    if with_gradients:
+    if by_operator:
         draw = render_images_and_splats if options.reads_splats else render_images
     else:  # at the first call of an operator with a backward torch spends a second on imports
         draw = draw_images_and_splats if options.reads_splats else draw_images
@@ -339,7 +340,7 @@ def _asked_for(drawn: Drawn, view: View, options: RenderOptions, count: int) -> 
 
 def _expected_depth(depth: Tensor, alpha: Tensor) -> Tensor:
     """Return the sum of weight * z [B, C, H, W] divided by alpha; in place where there are no gradients."""
-    if torch.is_grad_enabled() and (depth.requires_grad or alpha.requires_grad):
+    if torch.is_grad_enabled() and (depth.requires_grad or alpha.requires_grad) or not is_eager((depth,)):
         return depth / alpha.clamp_min(1e-10)
     return divide_by_alpha(depth, alpha)
 

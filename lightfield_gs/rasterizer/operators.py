@@ -13,8 +13,8 @@ from typing import Any, NoReturn, get_type_hints
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
-from torch.nn import Parameter
 
+from lightfield_gs.base.arrays import is_eager
 from lightfield_gs.base.errors import InputError
 
 _SCHEMA_TYPES = {
@@ -47,19 +47,6 @@ def operator_schema(*arguments: type, outputs: int, defaults: bool = True, omit:
                 declared.append(f"{_SCHEMA_TYPES[hint]} {name}" + (f"={values[name]}" if name in values else ""))
     returned = "Tensor" if outputs == 1 else f"({', '.join(['Tensor'] * outputs)})"
     return f"({', '.join(declared)}) -> {returned}"
-
-
-def is_eager(arguments: tuple) -> bool:
-    """Return whether all tensors are plain, and nothing traces, transforms or compiles the calls of operators.
-
-    Then an operator's function may be called without the operator. Recording the operator for a trace or a compiler
-    takes the host 0.1 ms each time, while the device waits.
-    """
-    if torch.compiler.is_compiling():
-        return False
-    if torch._C._are_functorch_transforms_active() or torch._C._len_torch_dispatch_stack():
-        return False
-    return all(type(t) in (Tensor, Parameter) and not t.is_meta for t in arguments if isinstance(t, Tensor))
 
 
 def _nothing_to_keep(ctx: Any, inputs: tuple, output: Any) -> None:
@@ -215,6 +202,8 @@ class _Once(torch.autograd.Function):
 
 def refuse_tangents(*arguments: object) -> None:
     """Raise InputError if an argument is a dual number (torch.autograd.forward_ad)."""
+    if torch.compiler.is_compiling():
+        return  # the nodes of operators refuse them
     for tensor in arguments:
         if isinstance(tensor, Tensor) and forward_ad.unpack_dual(tensor).tangent is not None:
             _refuse_forward_mode(None)

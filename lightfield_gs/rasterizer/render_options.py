@@ -9,7 +9,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import check_tensor, to_tensor
+from lightfield_gs.base.arrays import check_tensor, is_eager, to_tensor
 from lightfield_gs.base.checks import expect, real_number, shown, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import RENDER_MODES, RenderMode
@@ -137,7 +137,7 @@ def _per_gaussian(
         InputError: other shapes, types, devices, or values on the CPU.
     """
     expect(name, value, Tensor)
-    value = to_tensor(name, cast(Tensor, value))
+    value = to_tensor(name, cast(Tensor, value), meta=True)
     sizes = tuple(value.shape[-1] if size == "D" and value.dim() and value.shape[-1] else size for size in last)
     lead, count = tuple(gaussians.means.shape[:-2]), gaussians.count
     shared, own = (*lead, count, *sizes), (*lead, cameras, count, *sizes)
@@ -157,8 +157,8 @@ def _checked_covariances(covars: Tensor, gaussians: Gaussians) -> Tensor:
     """Return covariances [..., N, 3, 3] contiguous. Raises InputError; values on CUDA are not checked."""
     expect("covars", covars, Tensor)
     shape = (*gaussians.means.shape[:-1], 3, 3)
-    check_tensor("covars", to_tensor("covars", covars), shape, gaussians.dtype, gaussians.device)
-    if covars.is_cuda or not covars.numel():
+    check_tensor("covars", to_tensor("covars", covars, meta=True), shape, gaussians.dtype, gaussians.device)
+    if covars.is_cuda or not covars.numel() or not is_eager((covars,)):
         return covars
     check_finite("covars", covars)
     with torch.no_grad():

@@ -14,6 +14,7 @@ import torch
 from torch.nn import functional
 
 import lightfield_gs
+from lightfield_gs.base.arrays import is_eager
 from lightfield_gs.base.checks import expect, real_number, shown, whole_number, wrong_type
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import CAMERA_MODELS, ROLLING_SHUTTERS, CameraModel, RollingShutter
@@ -93,10 +94,9 @@ class Cameras(Rows):
             if name not in optional or value is not None:
                 if not isinstance(value, torch.Tensor):
                     raise wrong_type(f"cameras: {name}", value, torch.Tensor)
-                if not value.is_floating_point() or value.layout != torch.strided or value.is_meta:
+                if not value.is_floating_point() or value.layout != torch.strided:
                     raise InputError(
-                        f"cameras: {name}: expected floating point numbers, dense, on the CPU or CUDA, got "
-                        f"{value.dtype}, {value.layout}, {value.device}"
+                        f"cameras: {name}: expected floating point numbers, dense, got {value.dtype}, {value.layout}"
                     )
         lead = self.world_to_camera.shape[:-2]
         expected = {"world_to_camera": (*lead, 4, 4), "focal_px": (*lead, 2), "principal_point_px": (*lead, 2)}
@@ -109,9 +109,9 @@ class Cameras(Rows):
                 raise InputError(f"cameras: {name} must be {['...', 'C', *shape[len(lead) :]]}, got {list(found)}")
             if getattr(self, name).device.type == "cpu":
                 check_finite(f"cameras: {name}", getattr(self, name))
-        if self.world_to_camera.device.type == "cpu":
+        if _is_readable(self.world_to_camera):
             _check_poses("world_to_camera", self.world_to_camera.detach())
-        if self.focal_px.device.type == "cpu" and not bool((self.focal_px > 0).all()):
+        if _is_readable(self.focal_px) and not bool((self.focal_px > 0).all()):
             raise InputError(f"cameras: focal_px must be > 0, got {float(self.focal_px.min())}")
         for name in ("width_px", "height_px"):
             if getattr(self, name) is None:
@@ -157,7 +157,7 @@ class Cameras(Rows):
                 "cameras: rolling_shutter: equirectangular images are put together from several lenses, and have no "
                 "rows that are read in turn: leave it out"
             )
-        if end.device.type != "cpu" or self.world_to_camera.device.type != "cpu":
+        if not (_is_readable(end) and _is_readable(self.world_to_camera)):
             return
         _check_poses("world_to_camera_end", end.detach())
         turn = rotation_vector((end[..., :3, :3] @ self.world_to_camera[..., :3, :3].to(end).mT).detach())
@@ -173,10 +173,16 @@ class Cameras(Rows):
         """Whether equirectangular images show 360 degrees. It reads values, and waits for a device.
 
         Raises:
-            InputError: they do, but their middle is not in the middle, or their columns are no multiple of 4.
+            InputError: they do, but their middle is not in the middle, or their columns are no multiple of 4. Or values
+                cannot be read, see is_eager.
         """
         if self.model != "equirectangular":
             return False
+        if not is_eager((self.focal_px, self._centres())):
+            raise InputError(
+                "cameras: model: expected another than equirectangular where values cannot be read, as under "
+                "torch.compile: render equirectangular images outside of it"
+            )
         width, (turn, middle) = cast(int, self.width_px), torch.stack([self.focal_px, self._centres()])[..., 0].cpu()
         if not bool(((turn * math.tau - width).abs() <= 1e-4 * width).all()):
             return False
@@ -329,7 +335,7 @@ class Cameras(Rows):
         if self.jacobian_limits is not None:
             return self.jacobian_limits
         centre, focal = self._centres(), self.focal_px
-        edges = _edges(*self._size(), centre.dtype, centre.device) - centre.unsqueeze(-1)
+        edges = _edges(*self._size(), centre) - centre.unsqueeze(-1)
         return functional.pad((edges / focal.unsqueeze(-1)).flatten(-2), (0, 1))
 
     def select(self, indices: slice | list[int] | torch.Tensor) -> Cameras:
@@ -379,6 +385,8 @@ def recentre(means: torch.Tensor, cameras: Cameras) -> tuple[torch.Tensor, Camer
     Means of float64, and cameras within 64 units of the origin or 64 times their extent, are not moved. Neither are
     cameras on a CUDA device, since reading their values would wait.
 
+    Where values cannot be read (is_eager) all are moved, those near the origin by 0, which changes no bit.
+
     Args:
         means: [..., N, 3].
         cameras: for these means.
@@ -395,7 +403,7 @@ def recentre(means: torch.Tensor, cameras: Cameras) -> tuple[torch.Tensor, Camer
         middle = centres.mean(-2, keepdim=True)
         extent = (centres - middle).norm(dim=-1).amax(-1)
         far = middle.norm(dim=-1).squeeze(-1) > _FAR * extent.clamp_min(1)
-        if not bool(far.any()):
+        if is_eager((poses,)) and not bool(far.any()):
             return means, cameras
         origin = torch.where(far[..., None, None], middle, 0.0)  # [..., 1, 3]
     ends: dict[str, Any] = {}
@@ -406,26 +414,37 @@ def recentre(means: torch.Tensor, cameras: Cameras) -> tuple[torch.Tensor, Camer
     return (means.double() - origin.to(means.device)).to(means.dtype), replace(cameras, **ends)
 
 
-@lru_cache(maxsize=64)
-def _edges(width_px: int, height_px: int, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
-    """Return the limits of the Jacobian in the image, pixels: low and high for x, then y, [2, 2].
+def _edges(width_px: int, height_px: int, like: torch.Tensor) -> torch.Tensor:
+    """Return the limits of the Jacobian in the image, pixels: low and high for x, then y, [2, 2]; like another tensor.
 
     They are cached, since every copy of numbers to a device waits.
     """
-    with torch.inference_mode(False):  # they may be part of a graph of gradients later
-        sides = [[-0.15 * size, 1.15 * size] for size in (width_px, height_px)]
-        return torch.tensor(sides, dtype=dtype, device=device)
+    sides = tuple((-0.15 * size, 1.15 * size) for size in (width_px, height_px))
+    return _constant(sides, like.dtype, like.device) if is_eager((like,)) else like.new_tensor(sides)
+
+
+@lru_cache(maxsize=64)
+def _constant(numbers: tuple[tuple[float, ...], ...], dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    with torch.inference_mode(False):  # it may be part of a graph of gradients later
+        return torch.tensor(numbers, dtype=dtype, device=device)
 
 
 def _widest_deg(distortion: torch.Tensor | None) -> float:
     """Return the angle up to which fisheyes with this distortion [..., 4] see more at larger angles, at most 100."""
     if distortion is None:
         return _WIDEST_DEG
+    if not is_eager((distortion,)):
+        raise InputError("cameras: widest_deg: the values of distortion cannot be read here: give widest_deg")
     angles = np.radians(np.linspace(0, _WIDEST_DEG, 1001))
     rows = distortion.detach().double().cpu().numpy().reshape(-1, 4)
     slope = 1 + sum((2 * k + 3) * rows[:, k : k + 1] * angles ** (2 * k + 2) for k in range(4))
     turned = (slope <= 0).any(0)
     return float(np.degrees(angles[int(turned.argmax()) - 1])) if turned.any() else _WIDEST_DEG
+
+
+def _is_readable(tensor: torch.Tensor) -> bool:
+    """Return whether values may be checked without waiting for a device."""
+    return tensor.device.type == "cpu" and is_eager((tensor,))
 
 
 def _check_poses(name: str, poses: torch.Tensor) -> None:
@@ -494,7 +513,7 @@ def _split_intrinsics(matrices: torch.Tensor) -> tuple[torch.Tensor, torch.Tenso
             "cameras: expected focal_px [..., C, 2] and principal_point_px [..., C, 2], or K "
             f"[..., C, 3, 3] in place of both, got {list(matrices.shape)} alone"
         )
-    if matrices.device.type == "cpu":
+    if _is_readable(matrices):
         for row, column, value in ((0, 1, 0), (1, 0, 0), (2, 0, 0), (2, 1, 0), (2, 2, 1)):
             if not bool((matrices[..., row, column] == value).all()):
                 raise InputError(

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 import lightfield_gs
+from lightfield_gs.base.arrays import is_eager
 from lightfield_gs.base.assumptions import Loss, assume
 from lightfield_gs.base.checks import is_row, real_number, shown, wrong_type
 from lightfield_gs.base.errors import InputError
@@ -151,6 +152,8 @@ class Gaussians(Rows):
                 field and the first bad index.
         """
         self.validate_layout()
+        if self.means.is_meta:
+            raise InputError("means: expected tensors with values, got some on the device meta")
         check_values(self)
         return self
 
@@ -163,7 +166,7 @@ class Gaussians(Rows):
                 raise InputError(f"{name}: expected a dense tensor, got {tensor.layout}")
         if means.ndim not in (2, 3):
             raise InputError(f"means: expected shape [N, 3] or [B, N, 3], got {list(means.shape)}")
-        if means.device.type not in ("cpu", "cuda"):
+        if means.device.type not in ("cpu", "cuda", "meta"):
             raise InputError(f"means: expected a tensor on the CPU or CUDA, got {means.device}")
         if means.dtype not in (torch.float32, torch.float64):
             way_out = "; convert them with gaussians.to(torch.float32), or each field with .float()"
@@ -223,8 +226,11 @@ class Gaussians(Rows):
 
 
 def check_values(gaussians: Gaussians) -> None:
-    """Raise InputError for values that Gaussians.validate refuses; their layout is valid."""
-    if gaussians.count == 0:
+    """Raise InputError for values that Gaussians.validate refuses; their layout is valid.
+
+    Nothing is checked where values cannot be read, see is_eager.
+    """
+    if gaussians.count == 0 or not is_eager(tuple(gaussians.fields().values())):
         return
     fields, (extremes, has_rotations) = gaussians.fields(), _extremes(gaussians)
     for (name, tensor), (low, high) in zip(fields.items(), extremes):
@@ -250,7 +256,9 @@ def _extremes(gaussians: Gaussians) -> tuple[list[tuple[float, float]], bool]:
 
 
 def check_finite(name: str, tensor: torch.Tensor) -> None:
-    """Raise InputError for the first NaN or infinity, with its index."""
+    """Raise InputError for the first NaN or infinity, with its index; where values cannot be read, do nothing."""
+    if not is_eager((tensor,)):
+        return
     if math.isfinite(tensor.detach().sum()):  # one pass; the sum is not finite if any value is not
         return
     good = torch.isfinite(tensor.detach())

@@ -18,6 +18,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.content import thinned
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.panels.visibility import check_single
 from lightfield_gs.rasterizer.images import RenderedImages
 from lightfield_gs.scene.axes import DEFAULT_UP
 from lightfield_gs.scene.cameras import Cameras
@@ -35,6 +36,7 @@ from lightfield_gs.show.preview import (
 _MOST_BYTES = 300_000  # of a cell, as text
 _QUALITIES = 80, 60, 40, 20  # of WebP
 _FRAME_PIXELS = 400 * 300
+_LEAST_PX = 320  # width that a figure has at least where there is room: smaller pictures are enlarged
 _FRAME_PX = 480  # width of frames of images
 _ROW_PX, _COLUMNS, _MOST_IMAGES = 800, 4, 8  # of images beside each other
 _BAR_PX = 44  # height of the bar below the pictures, as in look_around.html
@@ -51,7 +53,7 @@ class NotebookPicture:
     Attributes:
         frames: uint8 [h, w, 3] each, all of one size, the left-most first; none where there is nothing to see.
         facts: what they show, and what is left out.
-        is_drawing: whether the frames have few colours, and are stored without loss.
+        is_drawing: whether the frames have few colours; the one that is seen without scripts has no loss then.
     """
 
     frames: Sequence[np.ndarray]
@@ -90,7 +92,7 @@ class NotebookPicture:
                 f'<iframe srcdoc="{page}" title="{facts}" allowfullscreen '
                 'style="position:absolute;inset:0;width:100%;height:100%;border:0"></iframe></div>'
             )
-        return f'<figure style="margin:0;max-width:{width}px">{picture}{caption}</figure>'
+        return f'<figure style="margin:0;max-width:{max(width, _LEAST_PX)}px">{picture}{caption}</figure>'
 
     def save(self, path: str | Path) -> None:
         """Write the frames as a page of its own, which follows the mouse, a finger or a tilted device.
@@ -125,7 +127,17 @@ class NotebookPicture:
         return cls(drawn.frames, "; ".join([repr(gaussians), *notes]))
 
     @classmethod
-    def of_views(cls, gaussians: Gaussians, panel: Panel, rig: Rig, frames: int = 24) -> NotebookPicture:
+    def of_views(
+        cls,
+        gaussians: Gaussians,
+        panel: Panel,
+        rig: Rig,
+        frames: int = 24,
+        *,
+        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        antialiased: bool = False,
+        name: str | None = None,
+    ) -> NotebookPicture:
         """Return what a panel shows of a scene, from the left-most view to the right-most; one frame: the middle view.
 
         Args:
@@ -133,16 +145,21 @@ class NotebookPicture:
             panel: The panel.
             rig: Its cameras.
             frames: Number of views, spread over the cone.
+            background: As in encode.
+            antialiased: As in encode.
+            name: Of what shows the views, for the facts; None: the panel's.
 
         Raises:
             InputError: as in encode.
         """
+        check_single(gaussians)
         some = thinned(gaussians.detach(), orbit.MOST_GAUSSIANS)
         one = replace(rig, cone_deg=0.0) if frames == 1 else rig
-        views = look_around(some, panel, one, frames=frames, frame_pixels=_FRAME_PIXELS)
+        views = look_around(some, panel, one, background, antialiased, frames=frames, frame_pixels=_FRAME_PIXELS)
         cone_deg = panel.cone_deg if rig.cone_deg is None else rig.cone_deg
         notes = orbit.thinning_notes(gaussians, some)
-        facts = f"{gaussians!r} on panel {panel.name}: {panel.views} views over {cone_deg:.4g} degrees"
+        shown_on = f"on panel {panel.name}, whose {panel.views} views span" if name is None else f"in {name}, over"
+        facts = f"{gaussians!r} {shown_on} {cone_deg:.4g} degrees"
         return cls(views, "; ".join([facts, *notes]))
 
     @classmethod

@@ -14,7 +14,7 @@ from lightfield_gs.fitting.settings import FitSettings
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.scene.gaussians import Gaussians
 
-EARLY, LATE = 1000, 3100  # before the first reset, and after
+EARLY, LATE = 1000, 3100  # before huge ones are removed, and after
 SMALL, LARGE, HUGE = 0.005, 0.05, 0.3
 
 
@@ -82,7 +82,7 @@ def test_the_threshold_is_of_means_over_views_and_higher_for_absolute_gradients(
     assert changed(before, [2.1e-4, 1.9e-4], grow_grad2d=1e-4).count == 4
 
 
-def test_faint_ones_are_pruned_and_huge_ones_once_opacities_were_reset():
+def test_faint_ones_are_pruned_and_huge_ones_later():
     before = make_state([LARGE, LARGE, HUGE], [0.5, 0.004, 0.5])
     assert torch.equal(changed(before, [0.0] * 3).values.means, before.values.means[[0, 2]])
     assert torch.equal(changed(before, [0.0] * 3, LATE).values.means, before.values.means[:1])
@@ -113,9 +113,10 @@ def test_reset_makes_opacities_small_and_forgets_their_moments():
 @pytest.mark.parametrize(
     "options, resets, sorts",
     [
-        ({}, [3000, 6000, 9000, 12000], [5000, 10000, 15000]),
-        ({"steps": 15_000}, [1500, 3000, 4500, 6000], [2500, 5000, 7500]),
-        ({"refine_stop_iter": 12_500}, [3000, 6000, 9000], [5000, 10000, 12500]),
+        ({}, [], [5000, 10000, 15000]),
+        ({"reset_every": 3000}, [3000, 6000, 9000, 12000], [5000, 10000, 15000]),
+        ({"reset_every": 3000, "steps": 15_000}, [1500, 3000, 4500, 6000], [2500, 5000, 7500]),
+        ({"reset_every": 3000, "refine_stop_iter": 12_500}, [3000, 6000, 9000], [5000, 10000, 12500]),
     ],
 )
 def test_when_opacities_are_reset_and_gaussians_sorted(options, resets, sorts):
@@ -123,7 +124,7 @@ def test_when_opacities_are_reset_and_gaussians_sorted(options, resets, sorts):
     steps = range(1, settings.steps + 1)
     assert [step for step in steps if settings.resets_after(step)] == resets
     assert [step for step in steps if settings.sorts_after(step)] == sorts
-    assert not any(map(FitSettings().resets_after, steps))
+    assert not any(map(FitSettings(reset_every=3000).resets_after, steps))  # mcmc
 
 
 def test_the_statistics_add_the_gradients_of_each_view_in_halves_of_the_image():

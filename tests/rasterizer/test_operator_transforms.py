@@ -2,12 +2,15 @@
 
 import pytest
 import torch
+from rasterizer_cases import panel, rig
 from test_gradients import SMALL, dense, dense_inputs, leaves, lens, lens_inputs
+from test_traced_render import by_torch, everything, fields, gradients
 from torch.func import grad, hessian, jacrev, vmap
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from lightfield_gs import InputError, reference
+from lightfield_gs.encoding.compiled import encode_in_graph
 
-OPERATORS = torch.ops.lightfield_gs
 COPIES = 2
 
 
@@ -46,6 +49,22 @@ def assert_near(got, want, **tolerance):
         torch.testing.assert_close(have, true, **tolerance)
 
 
+class Calls(TorchDispatchMode):
+    """Records the calls of the package's operators."""
+
+    def __init__(self):
+        super().__init__()
+        self.calls = []
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        if function.namespace == "lightfield_gs":
+            self.calls.append((function, args))
+        return function(*args, **(kwargs or {}))
+
+    def names(self):
+        return [function.name().split("::")[1] for function, _ in self.calls]
+
+
 @SENSORS
 def test_gradients_and_jacobians_of_torch_func_are_those_of_the_oracle(sensor):
     draw, oracle, moving = sensor()
@@ -75,16 +94,9 @@ def test_vmap_and_its_gradients_are_those_of_each_row(sensor):
 
 def test_vmap_draws_all_rows_at_once():
     draw, _, moving = ordinary()
-    calls = []
-
-    class Calls(torch.utils._python_dispatch.TorchDispatchMode):
-        def __torch_dispatch__(self, function, types, args=(), kwargs=None):
-            calls.append(str(function))
-            return function(*args, **(kwargs or {}))
-
-    with Calls():
+    with Calls() as calls:
         vmap(grad(loss_of(draw)))(*several(moving))
-    assert sum("lightfield_gs" in name for name in calls) == 2, calls  # a forward and a backward
+    assert calls.names() == ["render_images_with_state", "render_images_backward"]
 
 
 @SENSORS
@@ -123,13 +135,20 @@ def test_tensors_without_values_draw_shapes(sensor):
 VIEWS = [torch.empty(1, 2, size, dtype=torch.float64) for size in (4, 5)]  # intrinsics and limits
 
 
-def test_the_backward_operators_are_registered_as_torch_wants_them():
-    moving, fixed = dense_inputs(2, 2, 6, 1, 12, 9)
-    moving = [t.detach() for t in moving]
-    drawn = OPERATORS.render_images_with_state(*moving, *fixed)
-    given = (*moving, *fixed, False, 0, *drawn, *(t + 1 for t in drawn[:3]), 4, True, True)
-    torch.library.opcheck(OPERATORS.render_images_backward, given)
-    moving, fixed, _ = lens_inputs("default lens", 6, 1, **SMALL)
-    moving = [t.detach() for t in moving]
-    image = OPERATORS.render_direct(*moving, *fixed)
-    torch.library.opcheck(OPERATORS.render_direct_backward, (*moving, *fixed, False, image, image + 1))
+def test_every_operator_is_registered_as_torch_wants_it():
+    """Also the backward ones, of the arguments that they are called with."""
+    with Calls() as calls:
+        for draw in (everything, by_torch):
+            given = leaves(fields())
+            gradients(draw(*given), given)
+        for sensor in (ordinary, light_field):
+            draw, _, moving = sensor()
+            torch.autograd.grad(loss_of(draw)(*moving), moving)
+        shown = panel("cells", **SMALL)
+        image = encode_in_graph(tuple(given), given[3][:3], shown, rig(shown), True, 0.5, True)
+        torch.autograd.grad(image.sum(), given)
+    schemas = torch._C._jit_get_all_schemas()
+    known = {schema.name.split("::")[1] for schema in schemas if schema.name.startswith("lightfield_gs::")}
+    assert set(calls.names()) == known - {"render_images"}  # that is made of render_images_with_state
+    for function, given in dict(calls.calls).items():
+        torch.library.opcheck(function, tuple(t.detach() if isinstance(t, torch.Tensor) else t for t in given))

@@ -2,10 +2,12 @@
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from subject_cases import floaters, joined, thing
 
 from lightfield_gs import Cameras, FitResult, Gaussians, InputError, NotebookPicture, Panel, Rig, render
 from lightfield_gs.base.harmonics import SH_CONSTANT
@@ -41,6 +43,13 @@ def test_a_turn_begins_behind_and_passes_the_front_and_the_right():
     assert place(right, green)[1] > 500 and place(right, red)[1] == 0
     assert place(left, red)[1] > 500 and place(left, green)[1] == 0
     assert place(scene.show().frames[12], red)[0] < 180  # rests in front
+
+
+def test_a_subject_is_drawn_without_what_is_far_around_it():
+    alone, among = thing(), joined(thing(), floaters(300, 20, 60))
+    shown = NotebookPicture.of_gaussians(among)
+    assert "the subject alone is drawn" in shown.facts
+    assert np.array_equal(shown.frames, NotebookPicture.of_gaussians(alone).frames)
 
 
 def test_many_gaussians_are_thinned_and_that_is_said():
@@ -100,11 +109,14 @@ def test_images_stand_beside_each_other_and_change_by_show():
 def test_a_fit_shows_its_panel_and_its_scores():
     scene, panel = balls([[0, 0, 3]], [RED]), Panel(120, 60, 5, 6.0, 0.1, name="small")
     rig, scores = Rig.frame(scene, panel), Scores(["a", "b"], [30.0, 32.0], [0.9, 0.8])
-    fitted = FitResult(scene, FitSettings(), 70, scores, [], True, Display(panel, None, rig, ()))
+    display = Display(panel, None, rig.relative_to((-9.0, 0.0, 0.0)), ())  # in the capture's coordinates
+    scene = replace(scene, origin=(9.0, 0.0, 0.0))
+    fitted = FitResult(scene, FitSettings(), 70, scores, [], True, display)
     facts = "fit of 70 steps, stopped, 31.00 dB and SSIM 0.850 on 2 held-out photographs; Gaussians(1, "
-    assert facts in fitted._repr_html_() and "on panel small" in fitted._repr_html_()
+    assert facts in fitted._repr_html_() and "on panel small, whose 5 views span 40 degrees" in fitted._repr_html_()
     frames = fitted.show().frames
-    assert len(frames) == NotebookPicture.FRAMES and np.array_equal(frames, scene.show(panel, rig).frames)
+    expected = NotebookPicture.of_views(scene, panel, rig, background=(0.0, 0.0, 0.0)).frames  # that of the settings
+    assert len(frames) == NotebookPicture.FRAMES and np.abs(np.subtract(frames, expected, dtype=int)).max() <= 1
     around = FitResult(scene, FitSettings(), 70, None, [], False)
     assert around.show().facts.startswith("fit of 70 steps; Gaussians(1, ") and len(around.show().frames) == 25
 

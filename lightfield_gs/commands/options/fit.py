@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -83,7 +84,7 @@ class OptimisationOptions:
     absolute_gradients: bool
     sh_degree: int | None
     views_per_step: int
-    exposure: bool
+    exposure: bool | None
     dropout: float
     poses: bool
     masks: Masks
@@ -351,18 +352,19 @@ def add_optimisation(add: Add) -> None:
     )
     add(
         "--exposure",
-        action="store_true",
-        short="for photographs of different exposure",
-        help="also fit an affine change of colours for each photograph, for different exposure or white balance",
+        action=argparse.BooleanOptionalAction,
+        short="also fit a change of colours for each photograph",
+        help="also fit an affine change of colours for each photograph, for different exposure or white balance "
+        "(default: if their exposures differ by 1 %% or more)",
     )
     add(
         "--loss",
         choices=LOSSES,
         default="l1-ssim",
-        short="wd: sharper texture, by VGG-16; slow without a GPU",
+        short="wd: by texture, as VGG-16 sees it; for long fits on a GPU",
         help="comparison of renders with photographs. l1-ssim: pixel by pixel (Kerbl et al. 2023); wd: by the texture "
-        "that the network VGG-16 sees, and pixels at a low weight (WD-R, Ozyilkan et al. 2026), sharper to the eye "
-        "with a lower PSNR. Its weights are fetched once, 528 MB (default l1-ssim)",
+        "that the network VGG-16 sees, and pixels at a low weight (WD-R, Ozyilkan et al. 2026), for long fits on "
+        "a GPU. Its weights are fetched once, 528 MB (default l1-ssim)",
     )
     add(
         "--dropout",
