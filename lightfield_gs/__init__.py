@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.quilt import QuiltLayout
     from lightfield_gs.panels.rig import Rig
+    from lightfield_gs.panels.simulate_tensors import simulate_with_gradients
     from lightfield_gs.photo.depth_network import depth_from_network
     from lightfield_gs.photo.encoder import PhotoEncoder
     from lightfield_gs.photo.load import load_photo
@@ -67,6 +68,7 @@ _HOMES = {
     "read_scene": "io.scenes.files",
     "render": "rasterizer.images",
     "simplify": "simplification.simplify",
+    "simulate_with_gradients": "panels.simulate_tensors",
     "weave": "encoding.weave",
     "write_scene": "io.scenes.files",
 }
@@ -102,6 +104,7 @@ __all__ = [
     "read_scene",
     "render",
     "simplify",
+    "simulate_with_gradients",
     "weave",
     "write_scene",
 ]
