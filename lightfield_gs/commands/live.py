@@ -14,6 +14,7 @@ from pathlib import Path
 
 from lightfield_gs.app.options import LookOptions, PanelOptions, PhotoOptions, RenderOptions
 from lightfield_gs.app.panel import connected_position, load_panel, where_to_show
+from lightfield_gs.app.scene import check_photo_options
 from lightfield_gs.app.video import DEFAULT_FPS
 from lightfield_gs.base.cli_messages import as_options, capturable_streams, say, say_next
 from lightfield_gs.base.errors import InputError
@@ -29,6 +30,7 @@ from lightfield_gs.live.reader import Reader
 from lightfield_gs.live.scenes import LiveScenes
 from lightfield_gs.live.sources import open_source
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.photo.side_by_side import is_rgbd_name
 from lightfield_gs.show.display_browser import DisplayBrowser, find_browser
 from lightfield_gs.video.rendering import FrameOptions, NativeRenderer
 from lightfield_gs.video.video_file import choose_codec
@@ -144,6 +146,9 @@ def _check(options: LiveOptions) -> None:
             f"--depth {photo.depth_file}: a live picture has no depth map in a file; give --depth auto or flat, or "
             "--rgbd where the depths are a half of it"
         )
+    has_pair = photo.stereo_in not in (None, "none")
+    is_deep = photo.depth is not None or photo.rgbd is not None or has_pair or is_rgbd_name(Path(options.source))
+    check_photo_options(photo, is_deep)
     if options.output is not None:
         check_outputs((options.output,), (options.source,))
 

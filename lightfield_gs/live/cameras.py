@@ -48,8 +48,9 @@ def find_camera(which: str) -> Device:
     for number, (address, name) in there.items():
         if which == str(number) or (not which.isdecimal() and which.casefold() in name.casefold()):
             return Device(name, address, kind, _WISHES[kind])
-    if not there and (address := _unlisted(kind, which)):
-        return Device(f"camera {which}", address, kind, _WISHES[kind])
+    unlisted = None if there else _unlisted(kind, which)
+    if unlisted is not None:
+        return Device(f"camera {which}", unlisted, kind, _WISHES[kind])
     names = ", ".join(f"camera:{number} ({name})" for number, (_, name) in there.items())
     hint = f"expected one of {names}" if there else "no camera was found; is it plugged in, and free?"
     raise InputError(f"camera:{which}: there is no such camera; {hint}")

@@ -22,7 +22,7 @@ class Detail:
     """
 
     def __init__(self, fps: float, pixels: int | None, is_nearest: bool):
-        self._fps, self._is_fixed, self._is_said = fps, pixels is not None, False
+        self._fps, self._is_fixed, self._is_said, self._is_new = fps, pixels is not None, False, True
         self.scaling = Scaling(pixels or MOST_PIXELS, is_nearest)
         self.size_px: tuple[int, int] = (0, 0)  # height and width of the last picture
 
@@ -33,6 +33,9 @@ class Detail:
         """
         times = {name: mean for name in STAGES if (mean := span.mean_s(name)) is not None}
         if self._is_fixed or self._is_said or not times or span.seconds <= 0:
+            return None
+        if self._is_new:  # the first pictures of a size take longer
+            self._is_new = False
             return None
         stage = max(times, key=lambda name: times[name])
         wanted = 1 / min(self._fps, max(1.0, span.taken / span.seconds))
@@ -46,6 +49,6 @@ class Detail:
             slower = f"give --fps {1 / times[stage]:.2g}"
             return f"{words}: the pictures are as small as they get ({width} x {height}); {slower}"
         fewer = max(LEAST_PIXELS, int(now * max(_STEP, _AIM * wanted / times[stage])))
-        self.scaling = Scaling(fewer, self.scaling.is_nearest)
+        self.scaling, self._is_new = Scaling(fewer, self.scaling.is_nearest), True
         after = self.scaling.size(height, width)
         return f"{words}: pictures are taken at {after[1]} x {after[0]}, not {width} x {height} (--pixels keeps a size)"

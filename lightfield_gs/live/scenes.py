@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from lightfield_gs.app.steady_photos import steady_photos
 from lightfield_gs.app.stereo_film import film_parallax, layout_of_film
 from lightfield_gs.base.cli_messages import Stopwatch, capture
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import StereoInput
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.images import Picture, write_image
 from lightfield_gs.live.detail import Detail
@@ -145,7 +147,7 @@ class LiveScenes:
             photo = replace(photo, fit=first.photo.placed.fit, fov=first.photo.options.fov)
         self.rig, self.drawn_as, self._is_whole = rig, first.render, first.photo.is_whole
         self._render = replace(self._render, background=first.render.background)
-        self._photo = replace(photo, stereo_in=photo.stereo_in or "none")
+        self._photo = photo if photo.stereo_in else replace(photo, stereo_in="none")
         framing = "framing: all pictures as the first"
         self.messages = [self._renamed(line, path) for line in [*lines, *messages, *first.messages, *how, framing]]
 
@@ -161,7 +163,7 @@ class LiveScenes:
         if pair is None:
             return photo, []
         is_said = photo.stereo_in is not None
-        photo = replace(photo, stereo_in=pair.kind, swap_eyes=pair.is_swapped)
+        photo = replace(photo, stereo_in=cast(StereoInput, pair.kind), swap_eyes=pair.is_swapped)
         return photo, [] if is_said else [f"stereo: two eyes' pictures by {pair.source} (else: --stereo-in none)"]
 
     def _renamed(self, words: str, path: Path) -> str:

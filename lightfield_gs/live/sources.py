@@ -135,6 +135,8 @@ class _Decoded:
         crop: tuple[int, int, int, int] | None = None,
     ) -> Iterator[Frame]:
         clock = _Clock()
+        if not is_timed:
+            stream.thread_type = "SLICE"  # threads of whole frames would each hold one back
         for frame in _patient(container, stream, stop):
             if self._count == 0:
                 self.pair = pair_layout(frame)
@@ -192,7 +194,8 @@ class StreamSource(_Decoded):
 
     def frames(self, stop: threading.Event) -> Iterator[Frame]:
         """See Source."""
-        options = {"fflags": "nobuffer"}
+        # Over HTTP nobuffer would lose a film's beginning
+        options = {} if self._address.lower().startswith("http") else {"fflags": "nobuffer"}
         if self._address.lower().startswith("rtsp"):
             options["rtsp_transport"] = "tcp"
         with open_input(self._address, self.name, options=options, timeout=_TIMEOUTS_S) as (container, stream):
@@ -227,10 +230,9 @@ class DeviceSource(_Decoded):
 class FolderSource:
     """A folder that grows: its newest picture that is complete."""
 
-    ends, pair = False, None
-
     def __init__(self, path: Path):
-        self.name, self._path = str(path), path
+        self.name, self.ends, self._path = str(path), False, path
+        self.pair: PairLayout | None = None
         self._count, self._shown = 0, (0, "")
 
     def frames(self, stop: threading.Event) -> Iterator[Frame]:

@@ -74,8 +74,9 @@ class _Packed:
             if self._version != version:
                 self._version, pixels = self._native()
                 sent = None if self._sent is None else partial(self._sent, self._version)
-                version = {"X-Version": str(self._version)}
-                self._answer = Answer(image_bytes(pixels, "PNG", compress_level=0), "image/png", 200, version, sent)
+                numbered = {"X-Version": str(self._version)}
+                packed = image_bytes(pixels, "PNG", compress_level=0)
+                self._answer = Answer(packed, "image/png", headers=numbered, sent=sent)
             return self._answer
 
 
