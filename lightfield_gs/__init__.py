@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from lightfield_gs.base.registration import register_with_torch
+
 if TYPE_CHECKING:
     from lightfield_gs.base.errors import InputError
     from lightfield_gs.encoding.classic import interlace
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from lightfield_gs.panels.panel import Panel
     from lightfield_gs.panels.quilt import QuiltLayout
     from lightfield_gs.panels.rig import Rig
+    from lightfield_gs.panels.simulate_tensors import simulate_with_gradients
     from lightfield_gs.photo.depth_network import depth_from_network
     from lightfield_gs.photo.encoder import PhotoEncoder
     from lightfield_gs.photo.load import load_photo
@@ -65,6 +68,7 @@ _HOMES = {
     "read_scene": "io.scenes.files",
     "render": "rasterizer.images",
     "simplify": "simplification.simplify",
+    "simulate_with_gradients": "panels.simulate_tensors",
     "weave": "encoding.weave",
     "write_scene": "io.scenes.files",
 }
@@ -100,6 +104,7 @@ __all__ = [
     "read_scene",
     "render",
     "simplify",
+    "simulate_with_gradients",
     "weave",
     "write_scene",
 ]
@@ -113,6 +118,9 @@ if not TYPE_CHECKING:  # to a checker, every name would be there
             raise AttributeError(f"module 'lightfield_gs' has no attribute {name!r}")
         value = globals()[name] = getattr(import_module(f"lightfield_gs.{_HOMES[name]}"), name)
         return value
+
+
+register_with_torch()
 
 
 def __dir__() -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +37,7 @@ class CalibrationOptions:
         eye: position of the camera for each place, mm.
         corners: of the panel in the photographs of each place, eight pixels.
         one_place: whether photographs from one place will do.
+        refine: whether the lens is refined by every sub-pixel.
     """
 
     photos: list[Path]
@@ -45,6 +46,7 @@ class CalibrationOptions:
     eye: list[tuple[float, float, float]] | None = None
     corners: list[tuple[float, ...]] | None = None
     one_place: bool = False
+    refine: bool = False
 
 
 def run(args: argparse.Namespace) -> None:
@@ -56,14 +58,21 @@ def run(args: argparse.Namespace) -> None:
     start = load_panel(options.panel)
     if why := why_no_eye(start):
         raise InputError(why)
-    fit = fit_lens(read_photographs(options), start, options.one_place)
+    photographs = read_photographs(options)
+    fit, how = fit_lens(photographs, start, options.one_place), []
+    if options.refine:
+        from lightfield_gs.panels.calibration_refine import refine_lens  # it needs torch
+
+        refined = refine_lens(photographs, start, fit)
+        fit = replace(fit, panel=refined.panel)
+        how = [f"refined: every sub-pixel left {refined.before:.3g} views over before, and {refined.after:.3g} after"]
     lines = change_lines(profile, start, fit.panel, serial)
     write_kept(path, profile, fit.panel, serial, f"by photographs: {lines[0]}")
     print(
         f"{path}: {profile} with the lens of the photographs, for eyes at {start.viewing_distance_mm:g} mm; the way "
         f"back: {quoted('lightfield-gs', 'calibrate', 'undo', path)}"
     )
-    say(*lines, *map(_place_line, fit.viewpoints))
+    say(*lines, *how, *map(_place_line, fit.viewpoints))
     for words in implausible_places(fit):
         note(words)
     say_next("encode", "photo.jpg", "-o", "out.png", "--panel", path)

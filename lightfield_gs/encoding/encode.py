@@ -10,11 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour, background_tensor
+from lightfield_gs.base.arrays import Colour, background_tensor, is_eager, to_bytes
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import METHODS, ONLY_FOR, OUTPUTS, VIEWS, Method, Output, QualityName, Views
 from lightfield_gs.encoding.classic import classic_with_gradients, encode_classic
+from lightfield_gs.encoding.compiled import encode_in_graph
 from lightfield_gs.encoding.sorted import cameras_and_plan, encode_sorted
 from lightfield_gs.encoding.sorted_plan import SortedPlan
 from lightfield_gs.panels.optics import LENS, Optics
@@ -59,10 +60,13 @@ def encode(
     device: str | None = None,
     optics: Optics | None = None,
 ) -> Tensor:
-    """Draw the image [H, W, 3] of a scene for a panel. The camera of a view sees the sub-pixels of this view.
+    """Draw the image [..., H, W, 3] of a scene for a panel. The camera of a view sees the sub-pixels of this view.
+
+    Under torch.compile, torch.export and torch.func, and of meta tensors, "direct" draws alone, exactly, and values are
+    not checked.
 
     Args:
-        gaussians: one scene, [N, ...].
+        gaussians: one scene, [N, ...]; or B sets [B, N, ...], drawn one after another by the same panel and rig.
         panel: its lens determines the view of each sub-pixel.
         rig: the fan of cameras behind the views; not needed by "sorted" with cameras.
         method: "direct" renders only the sub-pixels; all cameras of the rig share one projection and one sort. "sorted"
@@ -111,6 +115,27 @@ def encode(
     Raises:
         InputError: an argument has a wrong type, shape or value, or belongs to another method.
     """
+    if isinstance(gaussians, Gaussians) and gaussians.is_batched:
+        return _encode_sets(
+            gaussians,
+            stats,
+            out,
+            panel=panel,
+            rig=rig,
+            method=method,
+            views=views,
+            cameras=cameras,
+            view_map=view_map,
+            memory_budget=memory_budget,
+            background=background,
+            output=output,
+            quality=quality,
+            threads=threads,
+            antialiased=antialiased,
+            view_filter=view_filter,
+            device=device,
+            optics=optics,
+        )
     check_types(method, views, output, gaussians, panel, rig, cameras, stats, antialiased)
     expect("optics", optics, Optics, type(None))
     quality, view_filter, threads, memory_budget = check_together(
@@ -138,7 +163,10 @@ def encode(
     gaussians = gaussians.to(dtype=torch.float64 if output == "float64" else torch.float32)
     fields = gaussians.fields().values()
     colour = background_tensor(background, gaussians.means).reshape(-1)
-    if wants_gradients(fields, colour, output, cameras, optics):
+    traced = not is_eager((*fields, colour))
+    if traced:
+        check_traced(method, optics)
+    if wants_gradients(fields, colour, output, cameras, optics) or traced:
         if method == "sorted":
             refuse_gradients("method 'sorted'")
         refuse_with_gradients(
@@ -154,11 +182,16 @@ def encode(
         if method == "classic":
             refuse_with_gradients(view_filter=view_filter > 0)
             return classic_with_gradients(gaussians, panel, cast(Rig, rig), continuous, colour, antialiased)
+        if torch.compiler.is_dynamo_compiling():
+            lens = panel, cast(Rig, rig), continuous, view_filter
+            image = encode_in_graph(tuple(fields), colour, *lens, antialiased)
+            return to_bytes(image.detach().clone()) if as_bytes else image
         camera = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter)
         if optics is not None and learned:
             numbers = optics.rig_numbers(panel, cast(Rig, rig), view_filter)
             return render_with_optics(list(fields), colour, camera, antialiased, numbers, optics.lens_numbers(panel))
-        return render_direct(*fields, colour, *camera.numbers(), antialiased)
+        image = render_direct(*fields, colour, *camera.numbers(), antialiased)
+        return to_bytes(image.detach().clone()) if as_bytes else image
     counters = Stats(device=gaussians.means.device if stats is not None else None)
     if method == "direct":
         camera = lenticular_camera(panel, cast(Rig, rig), continuous, view_filter)
@@ -190,6 +223,24 @@ def encode(
             culled = count_culled(gaussians, cast(Rig, rig).world_to_camera, drawn, counters.pruned)
             stats["skipped"] = {"gaussians": culled, **counters.skipped}
     return image
+
+
+def _encode_sets(gaussians: Gaussians, stats: object, out: Tensor | None, **others: Any) -> Tensor:
+    """Draw each of B sets of Gaussians, [B, H, W, 3]; others: arguments of encode."""
+    gaussians.validate_layout()
+    sets = len(gaussians.means)
+    if stats is not None:
+        raise InputError(f"stats= tells of one scene, and there are {sets} sets of Gaussians: leave it out")
+    expect("out", out, Tensor, type(None))
+    if sets == 0 or out is not None and (out.dim() != 4 or len(out) != sets):
+        got = "0 sets of Gaussians" if out is None else f"{sets} sets of Gaussians and out {list(out.shape)}"
+        raise InputError(f"gaussians: expected at least one set, and out [sets, H, W, 3] or none, got {got}")
+    into = [None] * sets if out is None else out.unbind()
+    images = []
+    for row, image in enumerate(into):
+        fields: dict[str, Any] = {name: tensor[row] for name, tensor in gaussians.fields().items()}
+        images.append(encode(replace(gaussians, **fields), out=image, **others))
+    return torch.stack(images) if out is None else out
 
 
 def check_options(method: str, views: str, output: str) -> None:
@@ -226,9 +277,7 @@ def check_types(
     ):
         expect(name, value, *kinds)
     gaussians.validate_layout()
-    if gaussians.is_batched:
-        raise InputError(f"encode takes one scene, means [N, 3], got {list(gaussians.means.shape)}")
-    if not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
+    if torch.compiler.is_compiling() or not (gaussians.means.is_cuda and torch.cuda.is_current_stream_capturing()):
         check_values(gaussians)  # reads values, which waits for the device: forbidden in a stream that captures
 
 
@@ -310,6 +359,20 @@ def check_webgpu(device: str, output: Output) -> None:
         raise InputError(f"device={device!r} draws output 'uint8' or 'float32': 'float64' needs device=None")
 
 
+def check_traced(method: Method, optics: Optics | None) -> None:
+    """Raise InputError for arguments that need values, where values cannot be read (arrays.is_eager)."""
+    if method != "direct":
+        raise InputError(
+            f"method {method!r} reads values, and there are none under torch.compile, torch.export and torch.func: use "
+            "method 'direct'"
+        )
+    if optics is not None:
+        raise InputError(
+            "optics: their values are read, and there are none under torch.compile, torch.export and torch.func: leave "
+            "them out, or call encode outside"
+        )
+
+
 def check_learned(names: list[str], method: Method, continuous: bool) -> None:
     """Raise InputError where these tensors of Optics ask for gradients that there are none of."""
     if method != "direct":
@@ -356,4 +419,7 @@ def refuse_gradients(what: str) -> None:
 def refuse_with_gradients(**given: bool) -> None:
     """Raise InputError for the first of these arguments that was given although gradients are wanted."""
     for name in (name for name, is_given in given.items() if is_given):
-        raise InputError(f"{name}= is for images without gradients: use torch.no_grad(), or leave it out")
+        raise InputError(
+            f"{name}= is for images without gradients that no torch.compile or torch.func traces: use torch.no_grad() "
+            "outside of these, or leave it out"
+        )

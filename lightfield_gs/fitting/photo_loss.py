@@ -14,6 +14,7 @@ from lightfield_gs.base.checks import expect, real_number, shown
 from lightfield_gs.base.device import device_guard
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.stages import optional_address, run_stage, select_stages
+from lightfield_gs.rasterizer.operators import differentiable_once
 
 # A loss of one's own, without dimensions: of renders [V,H,W,3], photographs [V,H,W,3] in 0..1, and weights [V,H,W] in
 # 0..1 of their pixels (None: 1); summed over V
@@ -128,11 +129,11 @@ class _PhotoLoss(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, image: Tensor, photo: Tensor, weights: Tensor | None, ssim_lambda: float) -> Tensor:
         loss, gradient = photo_loss_and_gradient(image, photo, weights, ssim_lambda)
-        ctx.save_for_backward(gradient)
+        ctx.save_for_backward(gradient, image)
         return loss
 
     @staticmethod
-    @torch.autograd.function.once_differentiable
+    @differentiable_once
     def backward(ctx: Any, g_loss: Tensor) -> tuple[Tensor, None, None, None]:
-        (gradient,) = ctx.saved_tensors
+        gradient, _ = ctx.saved_tensors
         return g_loss * gradient, None, None, None

@@ -113,19 +113,30 @@ def measure_fringes(viewpoint: Viewpoint, columns: int, rows: int) -> Fringes:
     Raises:
         InputError: The panel or its bars cannot be seen.
     """
+    wave, corners = measure_waves(viewpoint, columns, rows)
+    return Fringes(np.where(wave != 0, wave / np.maximum(np.abs(wave), 1e-30), 0), corners)
+
+
+def wave_of(shifts: np.ndarray) -> np.ndarray:
+    """Return the complex amplitude of bars [...] from their light at the shifts 0, 1 and 2, [..., 3]."""
+    # The sum of cos(a - 2 pi s/3) e^(2 pi i s/3) over s = 0, 1, 2 is 3/2 e^(i a)
+    return shifts @ np.exp(2j * np.pi * np.arange(3) / 3) * (2 / 3)
+
+
+def measure_waves(viewpoint: Viewpoint, columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bars as measure_fringes does, but with their amplitude in light, and the corners [4, 2]."""
     light, free = viewpoint.light()
     corners = _panel_corners(viewpoint, light)
     middle = _cell_means(np.concatenate([light, free[..., None]], 2), corners, columns, rows)
     shifts, mean = middle[..., :3], middle[..., :3].mean(2)
-    # The sum of cos(a - 2 pi s/3) e^(2 pi i s/3) over s = 0, 1, 2 is 3/2 e^(i a)
-    wave = shifts @ np.exp(2j * np.pi * np.arange(3) / 3) * (2 / 3)
+    wave = wave_of(shifts)
     visible = (
         (middle[..., 3] > CONSTANTS.least_unclipped)
         & (mean > CONSTANTS.dark * np.percentile(mean, 95))
         & (np.abs(wave) > CONSTANTS.least_contrast * mean)
     )
     _check_visible(viewpoint, visible)
-    return Fringes(np.where(visible, wave / np.maximum(np.abs(wave), 1e-30), 0), corners)
+    return np.where(visible, wave, 0), corners
 
 
 def _check_visible(viewpoint: Viewpoint, visible: np.ndarray) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -94,7 +94,8 @@ def _pair(number: int, line: str) -> tuple[float, float]:
     return offset, light
 
 
-_FWHM_TO_SIGMA = 1 / (2 * math.sqrt(2 * math.log(2)))
+FWHM_TO_SIGMA = 1 / (2 * math.sqrt(2 * math.log(2)))
+SPREADS = 1e-2, 1e3  # the limits of spread_subpixels
 _MOST_EYES = 1000
 _ROWS_PER_CHUNK_PX = 8  # small temporaries stay in the cache
 _CELL_ROWS_PER_CHUNK = 32  # rows of cells, for the same reason
@@ -130,36 +131,26 @@ def simulate(
         InputError: An argument is invalid, or the panel lacks a measure.
     """
     _check(image, panel)
-    x, y, z = _eye(eye_mm)
-    spread = real_number("spread_subpixels", spread_subpixels, 1e-2, 1e3)
+    eye = checked_eye(eye_mm)
+    spread = real_number("spread_subpixels", spread_subpixels, *SPREADS)
     expect("psf", psf, Psf, type(None))
     if psf is not None and spread != 1:
         raise InputError("spread_subpixels= is for the Gaussian, and psf= takes its place: leave out one of them")
     threads = os.cpu_count() if threads is None else whole_number("threads", threads, 1, 4096)
-    # _check lets no panel through that lacks either
-    distance, pitch_mm = cast(float, panel.viewing_distance_mm), cast(float, panel.pixel_pitch_mm)
-    sub_mm, lens = pitch_mm / 3, panel.line_number
-    gap = lens * sub_mm / (2 * math.tan(math.radians(panel.cone_deg) / 2)) * (-1 if panel.invert_views else 1)
-    if z + gap <= 0 or distance + gap <= 0:
-        raise InputError(f"eye: z must be larger than the lens gap of {abs(gap):.4g} mm, got {z}")
-    lens_mm = lens * sub_mm * distance / (distance + gap)
-    # a is linear in D, with xi = (D - D_mid) p_sub; D_mid is D of a sub-pixel centred on the panel.
-    pixel = 0 if panel.subpixel_cells else 1  # D of a pixel's centre, from its reference
-    middle = 1.5 * (panel.width_px - 1) + pixel + 1.5 * (panel.height_px - 1) * panel.slant_tan + panel.phase
-    slope = sub_mm * z / ((z + gap) * lens_mm)
-    shift = middle / lens + (x - y * panel.slant_tan) * gap / ((z + gap) * lens_mm)
-    columns, rows = _cells(panel.width_px, lens), _cells(panel.height_px, lens)
+    lens, half_cone_tan = panel.line_number, math.tan(math.radians(panel.cone_deg) / 2)
+    path = eye_path(panel, eye, lens, panel.slant_tan, panel.phase, half_cone_tan)
+    columns, rows = cell_borders(panel.width_px, lens), cell_borders(panel.height_px, lens)
     lit = np.zeros((len(rows) - 1, len(columns) - 1, 3), np.float32)
     weight = np.zeros_like(lit)
-    sigma = spread * _FWHM_TO_SIGMA / lens
+    sigma = spread * FWHM_TO_SIGMA / lens
     cells_per_chunk = max(1, int(_ROWS_PER_CHUNK_PX * len(rows) / panel.height_px))
-    along = [_turns_along(panel, channel, shift, slope, middle) for channel in range(3)]
+    along = [_turns_along(panel, channel, path) for channel in range(3)]
 
     def sum_up(first: int) -> None:
         bounds = rows[first : first + cells_per_chunk + 1]
         cells = slice(first, first + len(bounds) - 1)
         numbers = np.arange(bounds[0], bounds[-1])
-        down = _fractions(slope * 3 * panel.slant_tan * numbers)[:, None]
+        down = _fractions(path.slope * 3 * panel.slant_tan * numbers)[:, None]
         for channel in range(3):
             turns = along[channel][numbers % PERIOD] + down
             light = _light(turns, sigma) if psf is None else _measured_light(turns, psf, lens)
@@ -180,11 +171,47 @@ def simulate(
     return seen
 
 
-def _turns_along(panel: Panel, channel: int, shift: float, slope: float, middle: float) -> np.ndarray:
+class EyePath(NamedTuple):
+    """The point on its lens through which an eye reaches a sub-pixel: shift + slope (D - middle), in lens widths."""
+
+    shift: Any
+    slope: Any
+    middle: Any
+
+
+def eye_path(
+    panel: Panel, eye_mm: tuple[float, float, float], line_number: Any, slant_tan: Any, phase: Any, half_cone_tan: Any
+) -> EyePath:
+    """Return how an eye reaches the sub-pixels of a panel, by the formulas of `simulate`.
+
+    Args:
+        panel: With viewing_distance_mm and pixel_pitch_mm.
+        eye_mm: See simulate.
+        line_number: Of the panel's lens, as the next two: floats or tensors.
+        slant_tan: See Panel.
+        phase: See Panel.
+        half_cone_tan: The tangent of half the cone.
+
+    Raises:
+        InputError: The eye is too near.
+    """
+    (x, y, z), distance, sub_mm = eye_mm, cast(float, panel.viewing_distance_mm), cast(float, panel.pixel_pitch_mm) / 3
+    gap = line_number * sub_mm / (2 * half_cone_tan) * (-1 if panel.invert_views else 1)
+    if z + gap <= 0 or distance + gap <= 0:
+        raise InputError(f"eye: z must be larger than the lens gap of {abs(float(gap)):.4g} mm, got {z}")
+    lens_mm = line_number * sub_mm * distance / (distance + gap)
+    # a is linear in D, with xi = (D - D_mid) p_sub; D_mid is D of a sub-pixel centred on the panel.
+    pixel = 0 if panel.subpixel_cells else 1  # D of a pixel's centre, from its reference
+    middle = 1.5 * (panel.width_px - 1) + pixel + 1.5 * (panel.height_px - 1) * slant_tan + phase
+    shift = middle / line_number + (x - y * slant_tan) * gap / ((z + gap) * lens_mm)
+    return EyePath(shift, sub_mm * z / ((z + gap) * lens_mm), middle)
+
+
+def _turns_along(panel: Panel, channel: int, path: EyePath) -> np.ndarray:
     """Return the lens coordinate of each sub-pixel of a channel, without its row's part: float32 [PERIOD, W], 0..1."""
     columns = np.arange(panel.width_px)
     within = subpixel_offsets(panel)[..., channel].astype(np.float64)[:, columns % PERIOD]
-    return _fractions(slope * (3 * columns + within + panel.phase - middle) + shift)
+    return _fractions(path.slope * (3 * columns + within + panel.phase - path.middle) + path.shift)
 
 
 def _fractions(numbers: np.ndarray) -> np.ndarray:
@@ -268,7 +295,7 @@ def zone_width_mm(panel: Panel) -> float:
     return 2 * panel.viewing_distance_mm * math.tan(math.radians(panel.cone_deg) / 2)
 
 
-def _cells(size_px: int, lens_subpixels: float) -> np.ndarray:
+def cell_borders(size_px: int, lens_subpixels: float) -> np.ndarray:
     """Return the borders in pixels of cells about one lens wide."""
     count = min(size_px, max(1, round(3 * size_px / lens_subpixels)))
     return np.linspace(0, size_px, count + 1).round().astype(np.int64)
@@ -294,7 +321,8 @@ def _blurred(cells: np.ndarray, rows: slice) -> np.ndarray:
     return across[:-2] + 2 * across[1:-1] + across[2:]
 
 
-def _eye(eye_mm: Sequence[float]) -> tuple[float, float, float]:
+def checked_eye(eye_mm: Sequence[float]) -> tuple[float, float, float]:
+    """Return the three numbers of an eye; raise InputError for any other."""
     if not is_row(eye_mm, 3):
         raise InputError(f"eye: expected three numbers x, y, z in mm, got {shown(eye_mm)}")
     x, y, z = (real_number(f"eye: {axis}", value, -1e7, 1e7) for axis, value in zip("xyz", eye_mm))
@@ -308,11 +336,16 @@ def missing_geometry(panel: Panel) -> list[str]:
     return [key for key in ("viewing_distance_mm", "pixel_pitch_mm") if getattr(panel, key) is None]
 
 
-def _check(image: np.ndarray, panel: Panel) -> None:
-    expect("image", image, np.ndarray)
+def check_geometry(panel: Panel) -> None:
+    """Raise InputError for a panel before which an eye cannot be placed."""
     expect("panel", panel, Panel)
     if missing := missing_geometry(panel):
         raise InputError(f"panel {panel.name} lacks {' and '.join(missing)}; an eye cannot be placed without")
+
+
+def _check(image: np.ndarray, panel: Panel) -> None:
+    expect("image", image, np.ndarray)
+    check_geometry(panel)
     if image.ndim != 3 or image.shape[2] not in (3, 4):
         raise InputError(f"image: expected [H, W, 3], got {list(image.shape)}")
     if image.dtype.name not in ("uint8", "uint16", "float32", "float64"):

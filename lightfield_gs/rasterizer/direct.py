@@ -162,7 +162,7 @@ def _unpack(arguments: tuple[Any, ...]) -> DirectRender:
     return DirectRender(scene[:5], scene.background, LenticularCamera.from_numbers(camera), options.antialiased)
 
 
-def _forward(*arguments: Any) -> Tensor:
+def draw_sub_pixels(*arguments: Any) -> Tensor:
     """Return the image [H, W, 3] that a panel with slanted lenses shows of N Gaussians.
 
     It is differentiable in the first six arguments. A sub-pixel of view coordinate x is seen by the camera at
@@ -182,7 +182,7 @@ def _fake(*arguments):
     return arguments[0].new_empty((camera.height_px, camera.width_px, 3))
 
 
-def _gradients(*arguments: Any) -> tuple[Tensor, ...]:
+def sub_pixel_gradients(*arguments: Any) -> tuple[Tensor, ...]:
     """Return the gradients of render_direct's first six arguments.
 
     arguments: of render_direct, then its image and the gradient of that.
@@ -198,7 +198,7 @@ def _fake_gradients(*arguments):
 render_direct_backward = register_operator(
     "render_direct_backward",
     operator_schema(_SceneArguments, CameraNumbers, _Options, _Drawn, outputs=6, defaults=False),
-    _gradients,
+    sub_pixel_gradients,
     _fake_gradients,
     batches=False,
 )
@@ -218,7 +218,7 @@ def _backward(ctx, grad):
 render_direct = register_operator(
     "render_direct",
     operator_schema(_SceneArguments, CameraNumbers, _Options, outputs=1),
-    _forward,
+    draw_sub_pixels,
     _fake,
     _setup_context,
     _backward,

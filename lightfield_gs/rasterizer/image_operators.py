@@ -184,7 +184,7 @@ def camera_gradients(cameras: Sequence[Tensor], g_poses: Tensor, g_optics: Tenso
         g_optics: Likewise.
     """
     # Copies: outputs of an operator may not share memory
-    found = (g_poses, *torch.split_with_sizes_copy(g_optics, [cameras[1].shape[-1], cameras[2].shape[-1]], -1))
+    found = (g_poses, *(g.clone() for g in g_optics.split([cameras[1].shape[-1], cameras[2].shape[-1]], -1)))
     shaped = [g.reshape(t.shape) if len(g) else torch.zeros_like(t) for t, g in zip(cameras, found)]
     return shaped[0], shaped[1], shaped[2]
 

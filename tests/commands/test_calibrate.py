@@ -1,6 +1,7 @@
 """`lightfield-gs calibrate`: patterns written, profiles nudged in their own format."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -166,6 +167,9 @@ def test_a_profile_is_fitted_to_photographs(capsys, tmp_path):
     again = tmp_path / "again.json"
     run(capsys, f"calibrate fit {listed} --panel {old} -o {again} --viewing-distance 600")
     assert again.read_text() == new.read_text()
+    said = run(capsys, f"calibrate fit {listed} --panel {old} -o {again} --viewing-distance 600 --refine")
+    left = [float(number) for number in re.findall(r"left (\S+) views over before, and (\S+) after", said)[0]]
+    assert left[1] <= left[0] and Panel.load(again).line_number == pytest.approx(true.line_number, rel=1e-6)
     for number, seconds in enumerate((1 / 30, 1 / 30, 1 / 60)):
         exif = Image.Exif()
         exif.get_ifd(0x8769).update({0x829A: seconds, 0x829D: 1.8, 0x8827: 100})

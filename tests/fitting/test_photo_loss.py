@@ -49,6 +49,14 @@ def test_gradient_passes_gradcheck(weighted):
     assert torch.autograd.gradcheck(lambda x: 3 * photo_loss(x, photo, weights), image.requires_grad_())
 
 
+def test_a_second_derivative_is_refused():
+    image, photo = make_images(2, 5, 8)
+    leaf = image.requires_grad_()
+    (gradient,) = torch.autograd.grad(photo_loss(leaf, photo, None), leaf, create_graph=True)
+    with pytest.raises(InputError, match="differentiable once"):
+        gradient.square().sum().backward()
+
+
 def test_bytes_count_as_255ths():
     image, _ = make_images(1, 12, 9)
     photo = torch.randint(0, 256, image.shape, dtype=torch.uint8, generator=torch.Generator().manual_seed(2))

@@ -125,9 +125,11 @@ def test_what_images_with_gradients_do_not_have_is_refused(option):
     encode(drawn, PANEL, RIG, **option | ({"out": None} if "out" in option else {}))  # bytes have no gradients
 
 
-def test_a_batch_is_not_encoded():
-    with pytest.raises(InputError):
-        encode(Gaussians(*(tensor[None] for tensor in scene().fields().values())), PANEL, RIG)
+def test_a_batch_with_a_bad_set_is_refused():
+    sets = [torch.stack([tensor, tensor]) for tensor in scene().fields().values()]
+    sets[0][1, 0] = math.nan
+    with pytest.raises(InputError, match="means"):
+        encode(Gaussians(*sets), PANEL, RIG)
 
 
 def test_no_gaussians_give_the_background():

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.not_sanitized
 
 
 FOLDER = next(folder for folder in Path(__file__).resolve().parents if (folder / "notebooks").is_dir()) / "notebooks"
-NOTEBOOKS = ("quickstart", "research")
+NOTEBOOKS = ("quickstart", "research", "calibration")
 MOST_BYTES = 1_500_000  # with the pictures that are stored
 
 
@@ -64,6 +64,17 @@ def test_research_runs(capsys, monkeypatch):
     first, last = numbers(r"PSNR of the light-field image: (\S+) -> (\S+) dB", shown)
     assert last > first + 15
     assert max(numbers(r"lightfield_gs  largest error (\S+) of 255", shown)) < 0.01
+
+
+def test_calibration_runs(capsys, monkeypatch):
+    run("calibration", monkeypatch)
+    shown = capsys.readouterr().out
+    before, after = numbers(r"worst corner: (\S+) views -> (\S+)", shown)
+    assert before > 5 and after < 0.05
+    rows = numbers(r"(\S+) v +\S+ +\S+ +(\S+) v", shown)
+    assert len(rows) == 10 and all(after < 0.1 * before for before, after in zip(rows[::2], rows[1::2]))
+    before, after = numbers(r"through encode: (\S+) views -> (\S+)", shown)
+    assert before > 1 and after < 0.05
 
 
 @pytest.mark.parametrize("name", NOTEBOOKS)

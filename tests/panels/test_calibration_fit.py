@@ -7,18 +7,17 @@ import numpy as np
 import pytest
 from panel_cases import template_panel
 
-from lightfield_gs.base.arrays import decode_srgb, encode_srgb
+from benchmarks.calibration import CORNERS, EYES, errors, photograph, rows
+from lightfield_gs.base.arrays import decode_srgb
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.calibrate_fit import implausible_places
 from lightfield_gs.panels.calibration_fit import fit_lens
-from lightfield_gs.panels.calibration_photos import Viewpoint, bilinear, find_corners, homography
+from lightfield_gs.panels.calibration_photos import Viewpoint, find_corners
+from lightfield_gs.panels.calibration_refine import refine_lens
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.patterns import bars
-from lightfield_gs.panels.simulate import simulate
 
 START = template_panel(960, 540, 48, phase=-310.4, viewing_distance_mm=600, pixel_pitch_mm=0.2)
-CORNERS = np.array([[92.3, 61.8], [694.1, 90.2], [668.7, 452.9], [121.4, 428.6]])
-EYES = ((0.0, 0.0, 600.0), (70.0, 20.0, 560.0))
 
 
 def perturbed(panel: Panel) -> Panel:
@@ -33,21 +32,6 @@ def perturbed(panel: Panel) -> Panel:
     return replace(panel, line_number=lens, slant_tan=-1 / slope, phase=phase)
 
 
-def photograph(image, true, eye, corners=CORNERS, size=(520, 780), noise=0.01, seed=0) -> np.ndarray:
-    """8-bit codes of what a camera at the eye takes of the panel in a dark room: in perspective, blurred, noisy."""
-    seen = simulate(decode_srgb(image / 255), true, eye)
-    y, x = np.mgrid[0 : size[0], 0 : size[1]] + 0.5
-    back = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(homography(corners)).T
-    uv = back[..., :2] / back[..., 2:]
-    inside = ((uv > 0) & (uv < 1)).all(-1)
-    places = np.clip(uv * seen.shape[1::-1], 0.5, np.array(seen.shape[1::-1]) - 0.5)
-    light = np.where(inside[..., None], bilinear(seen, places), 0.004)
-    for axis in (0, 1):
-        light = (np.roll(light, 1, axis) + 2 * light + np.roll(light, -1, axis)) / 4
-    code = encode_srgb(np.clip(light, 0, 1)) + noise * np.random.default_rng(seed).standard_normal(light.shape)
-    return np.rint(255 * np.clip(code, 0, 1)).astype(np.uint8)
-
-
 def places(true, eyes=EYES, start=START, corners=CORNERS, shifts=(0, 1, 2), **options) -> list[Viewpoint]:
     shown = [bars(start, shift) for shift in shifts]
     return [
@@ -60,12 +44,7 @@ def places(true, eyes=EYES, start=START, corners=CORNERS, shifts=(0, 1, 2), **op
 
 def worst_views(a: Panel, b: Panel) -> float:
     """The largest difference of their views over the panel: of a plane, in a corner."""
-    turns = []
-    for i in (0, a.height_px):
-        for j in (0, a.width_px):
-            places = [(3 * j + 3 * i * p.slant_tan + p.phase) / p.line_number for p in (a, b)]
-            turns.append((places[0] - places[1] + 0.5) % 1 - 0.5)
-    return max(map(abs, turns)) * a.views
+    return errors(a, b)["worst_views"]
 
 
 @pytest.mark.parametrize("corners", [CORNERS, None], ids=["given", "found"])
@@ -149,3 +128,23 @@ def test_panels_that_are_cut_off_or_squeezed_are_refused_and_places_that_lie_off
             fit_lens([replace(place, photos=tuple(taken(one).copy() for one in place.photos)) for place in good], START)
     said = implausible_places(fit_lens([good[0], replace(good[1], eye_mm=(76.0, 20.0, 560.0))], START))
     assert len(said) == 2 and "check its eye" in said[0]
+
+
+SMALL = replace(START, width_px=320, height_px=180, pixel_pitch_mm=0.6)
+
+
+def test_a_lens_is_refined_to_a_tenth_of_the_error_where_the_bars_move_in_steps():
+    """Lenses of nine sub-pixels that lean by one a row: the bars are no plane."""
+    (row,) = rows(lenses=[(9.0, 1 / 3)], base=SMALL)
+    for name in ("phase_views", "worst_views"):
+        assert row["before"][name] > 0.01 and row["after"][name] < 0.1 * row["before"][name]
+
+
+def test_refining_takes_one_image_in_three_colours_too():
+    small = replace(SMALL, line_number=9.0, slant_tan=1 / 3)
+    true = perturbed(small)
+    sights = [Viewpoint(eye, (photograph(bars(small), true, eye),), CORNERS) for eye in EYES]
+    fit = fit_lens(sights, small)
+    refined = refine_lens(sights, small, fit)
+    assert worst_views(refined.panel, true) < 0.5 * worst_views(fit.panel, true)
+    assert refined.after < refined.before

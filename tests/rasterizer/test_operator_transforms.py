@@ -2,12 +2,14 @@
 
 import pytest
 import torch
+from rasterizer_cases import panel, rig
 from test_gradients import SMALL, dense, dense_inputs, leaves, lens, lens_inputs
 from test_traced_render import by_torch, everything, fields, gradients
 from torch.func import grad, hessian, jacrev, vmap
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from lightfield_gs import InputError, reference
+from lightfield_gs.encoding.compiled import encode_in_graph
 
 COPIES = 2
 
@@ -142,6 +144,9 @@ def test_every_operator_is_registered_as_torch_wants_it():
         for sensor in (ordinary, light_field):
             draw, _, moving = sensor()
             torch.autograd.grad(loss_of(draw)(*moving), moving)
+        shown = panel("cells", **SMALL)
+        image = encode_in_graph(tuple(given), given[3][:3], shown, rig(shown), True, 0.5, True)
+        torch.autograd.grad(image.sum(), given)
     schemas = torch._C._jit_get_all_schemas()
     known = {schema.name.split("::")[1] for schema in schemas if schema.name.startswith("lightfield_gs::")}
     assert set(calls.names()) == known - {"render_images"}  # that is made of render_images_with_state

@@ -1,10 +1,11 @@
 """`render` and `encode` under torch.compile, torch.export and torch.func, and of tensors without values."""
 
 import io
+from dataclasses import replace
 
 import pytest
 import torch
-from rasterizer_cases import random_scene
+from rasterizer_cases import panel, random_scene, rig
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.func import grad, vmap
 
@@ -129,3 +130,87 @@ def test_equirectangular_images_are_refused_while_compiling():
     seen = lf.Cameras.equirectangular(cameras().world_to_camera, 32)
     with pytest.raises(Exception, match="expected another than equirectangular"):
         torch.compile(lambda *t: lf.render(lf.Gaussians(*t), seen), fullgraph=True, backend="eager")(*fields())
+
+
+# ---- light-field images
+
+SHOWN = panel("default lens", width_px=9, height_px=5)
+FAN = rig(SHOWN, 0.1, -0.15, (0.53, 0.44))
+LENS = dict(views="continuous", view_filter=0.5, antialiased=True, background=(0.0, 0.5, 1.0))
+
+
+def light_field(*given, shown=SHOWN, fan=FAN, **options):
+    return lf.encode(lf.Gaussians(*given), shown, fan, output="float64", **options)
+
+
+@pytest.mark.parametrize("options", [{}, LENS])
+def test_a_compiled_encode_is_the_same(options):
+    given = [t.requires_grad_() for t in fields()]
+    found = torch.compile(light_field, fullgraph=True, backend="aot_eager")(*given, **options)
+    want = light_field(*given, **options)
+    assert torch.equal(found, want)
+    for have, true in zip(gradients([found], given), gradients([want], given)):
+        assert torch.equal(have, true)
+    in_bytes = lambda *t: lf.encode(lf.Gaussians(*t), SHOWN, FAN)
+    assert torch.equal(torch.compile(in_bytes, fullgraph=True, backend="aot_eager")(*given), in_bytes(*given))
+
+
+def test_other_panels_and_rigs_need_few_graphs():
+    given, graphs = fields(), []
+    backend = lambda graph, _: graphs.append(graph) or graph
+    call = torch.compile(lambda *t, **of: light_field(*t, **of), fullgraph=True, backend=backend)
+    for step in range(8):
+        pose = FAN.world_to_camera.copy()
+        pose[0, 3] += 0.1 * step
+        fan = replace(FAN, world_to_camera=pose, zero_depth=FAN.zero_depth + 0.05 * step)
+        shown = replace(SHOWN, phase=0.3 * step, line_number=SHOWN.line_number + 0.01 * step)
+        assert torch.equal(call(*given, shown=shown, fan=fan), light_field(*given, shown=shown, fan=fan))
+    assert len(graphs) <= 3
+    cells = panel("cells", width_px=12, height_px=8)
+    assert torch.equal(call(*given, shown=cells), light_field(*given, shown=cells))
+    fan.world_to_camera[0, 3] += 0.2  # in place
+    assert torch.equal(call(*given, fan=fan), light_field(*given, fan=fan))
+
+
+def test_sets_of_gaussians_are_drawn_each():
+    sets = [torch.stack([t, t * (1 if t.dim() == 1 else 1.1)]) for t in fields()]
+    leaves = [t.clone().requires_grad_() for t in sets]
+    images = light_field(*leaves, **LENS)
+    assert images.shape == (2, 5, 9, 3)
+    found = gradients([images], leaves)
+    for row in range(2):
+        one = [t[row].clone().requires_grad_() for t in sets]
+        image = light_field(*one, **LENS)
+        assert torch.equal(images[row], image)
+        for have, true in zip(found, gradients([image], one)):
+            assert torch.equal(have[row], true)
+    scenes, out = lf.Gaussians(*sets), torch.empty(2, 5, 9, 3, dtype=torch.uint8)
+    assert lf.encode(scenes, SHOWN, FAN, out=out) is out
+    assert torch.equal(out[1], lf.encode(scenes.mapped(lambda t: t[1]), SHOWN, FAN))
+    for wrong in (dict(stats={}), dict(out=out[:1]), dict(out=out[0])):
+        with pytest.raises(lf.InputError, match="sets"):
+            lf.encode(scenes, SHOWN, FAN, **wrong)
+    with pytest.raises(lf.InputError, match="at least one set"):
+        lf.encode(lf.Gaussians(*(t[:0] for t in sets)), SHOWN, FAN)
+
+
+def test_an_exported_encode_and_its_transforms_are_the_same():
+    given = tuple(fields())
+
+    class Draw(torch.nn.Module):
+        def forward(self, *fields):
+            return light_field(*fields, **LENS)
+
+    exported = torch.export.export(Draw(), given, strict=False)
+    assert torch.equal(exported.module()(*given), light_field(*given, **LENS))
+    with pytest.raises(Exception, match="strict=False"):
+        torch.export.export(Draw(), given, strict=True)
+    loss = lambda *t: light_field(*t, **LENS).square().sum()
+    rows = torch.stack([given[0], given[0] + 0.1])
+    found = vmap(grad(loss), (0, *(None,) * 4))(rows, *given[1:])
+    leaves = [t.clone().requires_grad_() for t in given]
+    torch.testing.assert_close(found[0], gradients([light_field(*leaves, **LENS)], leaves)[0])
+    scene = lf.Gaussians(*given)
+    assert lf.encode(scene.to("meta"), SHOWN, FAN).shape == (5, 9, 3)
+    with pytest.raises(lf.InputError, match="method 'sorted' reads values"):
+        lf.encode(scene.to("meta"), SHOWN, FAN, "sorted")

@@ -197,7 +197,7 @@ def test_eyes_of_the_page_look_through_the_lenses_as_those_of_the_package(tmp_pa
         apart = np.array(eye["turns"]) - np.concatenate([along, down])
         assert np.abs(apart - apart.round()).max() < 1e-6
         assert eye["samples"] == [seen.shape[1], seen.shape[0]]
-        cells = [simulate._cells(size, one.line_number) for size in (width, height)]
+        cells = [simulate.cell_borders(size, one.line_number) for size in (width, height)]
         assert eye["borders"] == np.concatenate(cells).tolist()
 
 
