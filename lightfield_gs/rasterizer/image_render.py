@@ -175,6 +175,7 @@ class ImageRender:
         capacity: int | None = None,
         hidden: Callable[[Tensor], Tensor] | None = None,
         splats: Tensor | None = None,
+        listed: bool = True,
     ):
         """Run project, order and bin, or take their results from `state`.
 
@@ -189,6 +190,7 @@ class ImageRender:
                 number.
             hidden: which splats are not drawn, [I, N] bool, from the splats [I, N, SPLAT_FIELDS].
             splats: [I, N, SPLAT_FIELDS], in place of a projection, which would also write colours.
+            listed: whether order and bin run; without them `splats` is all that there is.
 
         Raises:
             InputError: for a background or state that does not fit the inputs.
@@ -210,7 +212,8 @@ class ImageRender:
                         self.work.take(splats)
                     if hidden is not None:
                         self.work.drop(hidden(self.work.splats.splats))
-                self.work.order_and_bin()
+                if listed:
+                    self.work.order_and_bin()
 
     @classmethod
     def from_arguments(cls, arguments: ImageArguments, *, aperture: Aperture = PINHOLE, **options: Any) -> ImageRender:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import torch
@@ -26,8 +25,8 @@ from lightfield_gs.rasterizer.image_operators import (
 from lightfield_gs.rasterizer.image_render import divide_by_alpha, draw_in_chunks
 from lightfield_gs.rasterizer.operators import refuse_tangents
 from lightfield_gs.rasterizer.render_options import BLUR, NEAREST, RenderOptions, with_sh_degree
-from lightfield_gs.rasterizer.splat_render import Drawn, View, draw_splats
-from lightfield_gs.rasterizer.splat_shapes import splat_conics, splat_means, splat_radii, splat_tiles
+from lightfield_gs.rasterizer.splat_render import Drawn, View, draw_splats, splats_of_view
+from lightfield_gs.rasterizer.splat_shapes import splat_numbers
 from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians, check_values
 
@@ -261,23 +260,48 @@ def _render_by_model(
             "cameras: distortion has no gradients, and it requires one: detach() it, or use torch.no_grad()"
         )
     batched = like.dim() == 3
-    shared = cameras.world_to_camera.dim() == 3  # by all sets of a batch
-    if not shared and not batched:
+    if cameras.world_to_camera.dim() == 4 and not batched:
         raise InputError(
             f"cameras [B, C, ...] go with batched Gaussians [B, N, ...], got means {list(like.shape)} and "
             f"cameras {list(cameras.world_to_camera.shape)}"
         )
-    means, cameras = recentre(like, cameras)
-    views = [t.to(like) for t in (cameras.poses(), cameras.intrinsics(), cameras.limits())]
-    if shared:
-        views = [t.expand(like.shape[0] if batched else 1, *t.shape) for t in views]
-    colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
+    fields, view = _fields_and_view(gaussians, cameras, background)
     if screen is not None:
         screen = _checked_screen(screen, gaussians, cameras.count)
-    view = View._make((colour, *views, cameras.width_px, cameras.height_px, cameras.model_number))
-    drawn = _drawn((means, *others), view, options, screen)
+    drawn = _drawn(fields, view, options, screen)
     images = _asked_for(drawn, view, options, gaussians.count)
     return images if batched else images.changed(lambda name, tensor: tensor.squeeze(0))
+
+
+def _fields_and_view(gaussians: Gaussians, cameras: Cameras, background: Colour) -> tuple[tuple[Tensor, ...], View]:
+    """Return the fields [N, ...] or [B, N, ...] of Gaussians, and the cameras that see them, [B or 1, C, ...]."""
+    like, *others = gaussians.fields().values()
+    means, moved = recentre(like, cameras)
+    views = [t.to(like) for t in (moved.poses(), moved.intrinsics(), moved.limits())]
+    if cameras.world_to_camera.dim() == 3:  # shared by all sets of a batch
+        views = [t.expand(like.shape[0] if like.dim() == 3 else 1, *t.shape) for t in views]
+    colour = background_tensor(background, like).expand(*views[0].shape[:2], 3)
+    return (means, *others), View._make((colour, *views, moved.width_px, moved.height_px, moved.model_number))
+
+
+def find_splats(gaussians: Gaussians, cameras: Cameras, options: RenderOptions) -> Tensor:
+    """Return the splats [C, N, SPLAT_FIELDS] that `render` draws, by a projection alone and without gradients.
+
+    Args:
+        gaussians: [N, ...].
+        cameras: [C, ...], of any model but equirectangular.
+        options: of render, without masks, colors and features.
+
+    Raises:
+        InputError: as by render.
+    """
+    gaussians.validate_layout()
+    options = options.checked(gaussians, cameras)
+    if not gaussians.means.is_cuda:
+        check_values(gaussians)
+    fields, view = _fields_and_view(gaussians, cameras, (0.0, 0.0, 0.0))
+    options = options.with_set()
+    return splats_of_view([field.unsqueeze(0) for field in fields], view, options)
 
 
 def _drawn(fields: tuple[Tensor, ...], view: View, options: RenderOptions, screen: Tensor | None) -> Drawn:
@@ -293,8 +317,7 @@ def _drawn(fields: tuple[Tensor, ...], view: View, options: RenderOptions, scree
     batch = list(fields) if batched else [field.unsqueeze(0) for field in fields]
     if options.by_splats:
         if not batched:
-            given = {name: getattr(options, name) for name in ("features", "colors", "masks", "covars")}
-            options = replace(options, **{name: t.unsqueeze(0) for name, t in given.items() if t is not None})
+            options = options.with_set()
         return draw_splats(batch, view, options, screen)
     size = view.width, view.height, options.antialiased
     cameras = view[1:4]
@@ -328,13 +351,8 @@ def _asked_for(drawn: Drawn, view: View, options: RenderOptions, count: int) -> 
     others: dict[str, Tensor | None] = {name: getattr(drawn, name) for name in _OTHERS[:3]}
     if drawn.splats is not None:
         splats = drawn.splats.view(*image.shape[:2], count, drawn.splats.shape[-1])
-        read: dict[str, Callable[[Tensor], Tensor]] = {
-            "radii": splat_radii,
-            "means2d": splat_means,
-            "conics": splat_conics,
-            "tiles": partial(splat_tiles, width=view.width, height=view.height),
-        }
-        others |= {name: read[name](splats) for name in _OF_SPLATS if getattr(options, name)}
+        names = [name for name in _OF_SPLATS if getattr(options, name)]
+        others |= splat_numbers(splats, names, view.width, view.height)
     return RenderedImages(image, drawn.alpha if options.alpha else None, shown, **others)
 
 

@@ -94,6 +94,11 @@ class RenderOptions:
                 found[name] = change(value, dimension)
         return replace(self, **found)
 
+    def with_set(self) -> RenderOptions:
+        """Return these options with tensors [1, ...], for a set of one scene."""
+        given = {name: getattr(self, name) for name in ("features", "colors", "masks", "covars")}
+        return replace(self, **{name: tensor.unsqueeze(0) for name, tensor in given.items() if tensor is not None})
+
     @property
     def by_splats(self) -> bool:
         """Whether the stages have to be operators of their own: splat_render."""

@@ -15,6 +15,7 @@ from lightfield_gs.base.options import CAMERA_MODELS
 from lightfield_gs.rasterizer import image_render, torch_projection
 from lightfield_gs.rasterizer.render_options import RenderOptions
 from lightfield_gs.rasterizer.splat_operators import (
+    ProjectArguments,
     composite_features,
     composite_median_depth,
     composite_splats,
@@ -134,21 +135,58 @@ def _draw(fields: Sequence[Tensor], view: View, options: RenderOptions, screen: 
 _State = tuple[Tensor, Tensor, Tensor]  # splats, colours and lists
 
 
+def splats_of_view(fields: Sequence[Tensor], view: View, options: RenderOptions) -> Tensor:
+    """Return the splats [B * V, N, SPLAT_FIELDS] that draw_splats draws; they have no order, and no gradients.
+
+    Args:
+        fields: see draw_splats.
+        view: likewise.
+        options: likewise, without masks.
+    """
+    with torch.no_grad():
+        if options.by_torch:
+            return _splats_by_torch(fields, view, options, None)
+        given = _project_arguments(_without_harmonics(fields), view, options, None, None)
+        return image_render.ImageRender(given.inputs(), None, hidden=given.hidden, listed=False).splats
+
+
 def _projected(
     fields: Sequence[Tensor], view: View, options: RenderOptions, screen: Tensor | None, masks: Tensor | None
 ) -> _State:
     """Return splats, colours and lists; see draw_splats. masks: [B, V, N]."""
-    # Where colours are given, harmonics are not evaluated
-    sh = fields[4] if options.colors is None else fields[0].new_zeros(*fields[0].shape[:2], 1, 3)
-    size = view.width, view.height
-    cuts = options.near_plane, options.far_plane, float(options.radius_clip)
-    return project_splats(*fields[:4], sh, *view[1:4], *size, options.antialiased, view.model, screen, masks, *cuts)
+    if options.colors is not None:
+        fields = _without_harmonics(fields)
+    return project_splats(*_project_arguments(fields, view, options, screen, masks))
+
+
+def _without_harmonics(fields: Sequence[Tensor]) -> Sequence[Tensor]:
+    """Return the fields with one harmonic of zero, for splats whose colours are not read."""
+    return (*fields[:4], fields[0].new_zeros(*fields[0].shape[:2], 1, 3))
+
+
+def _project_arguments(
+    fields: Sequence[Tensor], view: View, options: RenderOptions, screen: Tensor | None, masks: Tensor | None
+) -> ProjectArguments:
+    size = view.width, view.height, options.antialiased, view.model
+    return ProjectArguments._make((*fields, *view[1:4], *size, screen, masks, *_cuts(options)))
+
+
+def _cuts(options: RenderOptions) -> tuple[float, float, float]:
+    return options.near_plane, options.far_plane, float(options.radius_clip)
 
 
 def _projected_by_torch(
     fields: Sequence[Tensor], view: View, options: RenderOptions, screen: Tensor | None, masks: Tensor | None
 ) -> _State:
     """Do as _projected, but by torch_projection; colours have no values."""
+    splats = _splats_by_torch(fields, view, options, masks)
+    colours = splats.new_zeros(RenderState.shapes(splats.shape[0], splats.shape[1], 0)[1])
+    splats, lists = list_splats(splats, colours, screen, fields[0].shape[0], view.width, view.height)
+    return splats, colours, lists
+
+
+def _splats_by_torch(fields: Sequence[Tensor], view: View, options: RenderOptions, masks: Tensor | None) -> Tensor:
+    """Return splats [B * V, N, SPLAT_FIELDS] of torch_projection."""
     means, quaternions, scales, opacities, _ = fields
     covars = options.covars
     if covars is None:
@@ -157,13 +195,9 @@ def _projected_by_torch(
     splats = torch_projection.project(
         means, covars, opacities, view[1:4], size, view.model, float(options.eps2d), options.antialiased
     )
-    cuts = options.near_plane, options.far_plane, float(options.radius_clip)
-    hidden = hidden_splats(splats.detach(), masks, *cuts)
+    hidden = hidden_splats(splats.detach(), masks, *_cuts(options))
     reach = torch.arange(splats.shape[-1], device=splats.device) == _core.SPLAT_REACH_INDEX
-    splats = splats.masked_fill(hidden.unsqueeze(-1) & reach, -1).flatten(0, 1)
-    colours = splats.new_zeros(RenderState.shapes(splats.shape[0], splats.shape[1], 0)[1])
-    splats, lists = list_splats(splats, colours, screen, means.shape[0], *size)
-    return splats, colours, lists
+    return splats.masked_fill(hidden.unsqueeze(-1) & reach, -1).flatten(0, 1)
 
 
 def facing_normals(fields: Sequence[Tensor], view: View) -> Tensor:

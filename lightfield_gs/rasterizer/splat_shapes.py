@@ -7,6 +7,8 @@ Splats are [..., SPLAT_FIELDS], in conditional form (csrc/math/projection.h). In
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -14,6 +16,24 @@ from torch import Tensor
 from lightfield_gs import _core
 
 TILE_PX = 16  # side of the tiles that `splat_tiles` counts
+
+
+def splat_numbers(splats: Tensor, names: Iterable[str], width: int, height: int) -> dict[str, Tensor]:
+    """Return what splats [..., SPLAT_FIELDS] have of these names: radii, means2d, conics and tiles; see the functions.
+
+    Args:
+        splats: of any number of images.
+        names: some of the four.
+        width: of the images, pixels.
+        height: likewise.
+    """
+    read: dict[str, Callable[[Tensor], Tensor]] = {
+        "radii": splat_radii,
+        "means2d": splat_means,
+        "conics": splat_conics,
+        "tiles": partial(splat_tiles, width=width, height=height),
+    }
+    return {name: read[name](splats) for name in names}
 
 
 def splat_radii(splats: Tensor) -> Tensor:

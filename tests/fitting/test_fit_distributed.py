@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import torch
 from fit_capture import write_capture
 from fit_scene import first_state, known_scene, photograph_scene, psnr_db
+from two_processes import printed_by_two
 
 from lightfield_gs import cli
 from lightfield_gs.base.errors import InputError
@@ -68,25 +65,6 @@ def fitted(density: str, group: Group, device: str) -> dict[str, object]:
     group.check_same("tallies", trainer.statistics.seen.cpu().numpy().tobytes(), device)
     score, losses = psnr_db(trainer.state, views), trainer.counters.losses
     return {"first": first, "psnr_db": score, "losses": losses, "extra": trainer.extra}
-
-
-def printed_by_two(program: Path, *arguments: str) -> list[tuple[int, str]]:
-    """Exit code and output of two processes that find each other by torchrun's environment variables."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    common = {"OMP_NUM_THREADS": "1", "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
-    streams = dict(stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    running = [
-        subprocess.Popen(
-            [sys.executable, program, *arguments],
-            env=os.environ | common | {"RANK": rank, "LOCAL_RANK": rank},
-            **streams,
-        )
-        for rank in "01"
-    ]
-    printed = [process.communicate(timeout=120)[0] for process in running]
-    return [(process.returncode, words) for process, words in zip(running, printed)]
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=TWO_GPUS)])

@@ -104,7 +104,8 @@ def test_gradients_of_projected_means_arrive_as_gsplat_delivers_them(packed):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"sparse_grad": True}, "sparse_grad: expected False"),
+        ({"sparse_grad": True, "packed": False}, "sparse_grad: expected packed=True"),
+        ({"distributed": True}, "distributed: expected a group of processes, got none"),
         ({"tile_size": 8}, "tile_size: expected 16"),
         ({"with_ut": True}, "with_ut"),
         ({"camera_model": "ftheta"}, "camera_model: expected one of pinhole, ortho, fisheye"),
