@@ -41,6 +41,7 @@ COMMAND_GROUPS = {
         "batch": "encode all photos, scenes and videos of a folder",
     },
     "looking": {
+        "live": "show a camera or the screen on the 3D display, as it happens",
         "view": "look at a photo or a scene in the browser, and adjust it",
         "page": "make one file to send, which shows a scene in any browser",
         "show": "show pictures and films on the 3D display, full screen",

@@ -25,10 +25,11 @@ from lightfield_gs.app.photo_depth import (
     is_depth_inside,
     without_holes,
 )
-from lightfield_gs.app.photo_pair import MatchedPair, guessed_pair, pair_depth, pair_of, read_pair_photo
+from lightfield_gs.app.photo_pair import MatchedPair, guessed_pair, match_pair, pair_depth, pair_of
 from lightfield_gs.base.cli_messages import Stopwatch, note, say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Detail, Fit
+from lightfield_gs.io.file_kinds import refuse_unsupported
 from lightfield_gs.io.stereo_names import PairLayout
 from lightfield_gs.photo.side_by_side import depth_side, split_halves
 
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from lightfield_gs.photo.photo import Photo
     from lightfield_gs.photo.second_eye import SecondEye
     from lightfield_gs.photo.steady_depth import PictureEstimate
+    from lightfield_gs.photo.stereo_pair import Pair
     from lightfield_gs.scene.gaussians import Gaussians
 
 _MOST_BESIDE = 200  # files in a photo's folder up to which a depth map is looked for: each photo of a batch looks
@@ -109,6 +111,28 @@ def quilt_in_name(path: Path) -> re.Match[str] | None:
 def read_photo(path: Path, options: PhotoOptions) -> ReadPhoto:
     """Read a photo, and its depth map where it has one. Raises InputError."""
     return _read_whole(path, options) if has_depth(path, options) else _read_object(path, options)
+
+
+def read_frame(path: Path, picture: Picture, options: PhotoOptions) -> ReadPhoto:
+    """Return a picture of a film as it is read, without a file and without guesses.
+
+    Args:
+        path: Its name, for messages.
+        picture: Its pixels.
+        options: As the first picture settled them: an object is cut out unless they name depths or a pair.
+
+    Raises:
+        InputError: Nothing can be cut out, or the depths cannot be read.
+    """
+    from lightfield_gs.photo.load import cut_out_photo
+
+    if (pair := pair_of(path, options)) is not None:
+        return _pair_of_picture(path, picture, options, pair)
+    if options.depth is not None or options.rgbd is not None:
+        return _whole_of_picture(path, picture, options, options.rgbd)
+    clean = options.clean_edges is not False
+    photo = cut_out_photo(path, picture, remove_background=options.remove_background, clean_edges=clean)
+    return ReadPhoto(path, options, photo)
 
 
 def photo_scene(
@@ -262,9 +286,6 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
     """Read a photo that is shown whole, with its depth map unless a network estimates it."""
     from lightfield_gs.io.images import read_picture
     from lightfield_gs.photo.embedded_depth import embedded_notes
-    from lightfield_gs.photo.load import cut_out_photo
-    from lightfield_gs.photo.photo import reduce_photo
-    from lightfield_gs.photo.rgbd import check_photo_size
 
     if (pair := pair_of(path, options)) is not None:
         return _read_pair(path, options, pair)
@@ -278,6 +299,28 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
                 f"{path}: its name says that its depth map is in it, and none of its halves is grey beside one in "
                 "colour; say which it is with --rgbd, or rename it"
             )
+    read = _whole_of_picture(path, picture, options, side, is_inside)
+    notes = embedded_notes(path, is_depth_used=is_inside or not options.is_estimated)
+    notes += [] if side or options.is_flat else _notes_on_eyes(path, picture)
+    return replace(read, notes=notes)
+
+
+def _whole_of_picture(
+    path: Path, picture: Picture, options: PhotoOptions, side: str | None, is_inside: bool = False
+) -> ReadPhoto:
+    """Return a picture that is shown whole, with its depth map unless a network estimates it.
+
+    Args:
+        path: Its file, or its name.
+        picture: Its pixels.
+        options: Of the photo.
+        side: The half of the picture that is its depth map. None: none is.
+        is_inside: Whether the depth map is inside the file.
+    """
+    from lightfield_gs.photo.load import cut_out_photo
+    from lightfield_gs.photo.photo import reduce_photo
+    from lightfield_gs.photo.rgbd import check_photo_size
+
     colour = picture if side is None else replace(picture, pixels=split_halves(path, picture.pixels, side)[0])
     check_photo_size(str(path), *colour.pixels.shape[:2])
     photo = cut_out_photo(
@@ -290,8 +333,6 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
         map_orientation=options.map_orientation,
     )
     reduce_photo(photo, _MOST_WHOLE_PX)
-    notes = embedded_notes(path, is_depth_used=is_inside or not options.is_estimated)
-    notes += [] if side or options.is_flat else _notes_on_eyes(path, colour)
     if options.is_estimated:
         depth = None
     elif options.is_flat:
@@ -305,12 +346,26 @@ def _read_whole(path: Path, options: PhotoOptions) -> ReadPhoto:
     lines: list[str] = []
     if depth is not None:
         depth, lines = without_holes(depth, options, photo)
-    return ReadPhoto(path, options, photo, is_whole=True, depth=depth, notes=notes, lines=lines)
+    return ReadPhoto(path, options, photo, is_whole=True, depth=depth, lines=lines)
 
 
 def _read_pair(path: Path, options: PhotoOptions, pair: PairLayout) -> ReadPhoto:
     """Read a stereo pair, which is shown whole, with the depths of both eyes."""
-    options, photo, matched = read_pair_photo(path, options, pair, _MOST_WHOLE_PX)
+    from lightfield_gs.photo.stereo_pair import read_pair
+
+    refuse_unsupported(path)
+    return _matched(path, options, read_pair(path, pair))
+
+
+def _pair_of_picture(path: Path, picture: Picture, options: PhotoOptions, layout: PairLayout) -> ReadPhoto:
+    """Return a stereo pair in a picture without a file."""
+    from lightfield_gs.photo.stereo_pair import split_pair
+
+    return _matched(path, options, split_pair(path, picture, layout))
+
+
+def _matched(path: Path, options: PhotoOptions, pair: Pair) -> ReadPhoto:
+    options, photo, matched = match_pair(path, options, pair, _MOST_WHOLE_PX)
     depth, second = pair_depth(options, photo, matched)
     return ReadPhoto(path, options, photo, is_whole=True, depth=depth, matched=matched, second=second)
 

@@ -46,16 +46,28 @@ def depth_by_network(
 
 
 def steady_estimates(
-    photos: Iterable[tuple[int, Photo]], options: PhotoOptions, device: str
+    photos: Iterable[tuple[int, Photo]], options: PhotoOptions, device: str, ahead: int | None = None
 ) -> Iterator[tuple[int, PictureEstimate]]:
-    """Yield the network's numbers for photos in a row, each averaged with its neighbours. Raises InputError."""
-    from lightfield_gs.photo.depth_network import estimate_pictures, is_metric
+    """Yield the network's numbers for photos in a row, each averaged with its neighbours.
+
+    Args:
+        photos: Their numbers, and they.
+        options: Of all of them.
+        device: Where the network works.
+        ahead: See `steadied`.
+
+    Raises:
+        InputError: As `estimate_pictures`; a network of many pictures at once is for films, not for ahead=0.
+    """
+    from lightfield_gs.photo.depth_network import estimate_pictures, is_metric, refuse_windows
     from lightfield_gs.photo.steady_depth import steadied
 
     model, on = options.depth_network, _network_device(device)
+    if ahead == 0:
+        refuse_windows(model, on, options.depth_kind)
     images = ((number, photo.floats()) for number, photo in photos)
     estimates = estimate_pictures(images, model, on, kind=options.depth_kind)
-    return steadied(estimates, is_metric(model, on, options.depth_kind))
+    return steadied(estimates, is_metric(model, on, options.depth_kind), ahead=ahead)
 
 
 def _network_device(device: str) -> Device:

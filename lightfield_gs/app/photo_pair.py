@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from lightfield_gs.app.options import PhotoOptions
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.file_kinds import refuse_unsupported
 from lightfield_gs.io.stereo_names import PairLayout, layout_in_name
 
 if TYPE_CHECKING:
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from lightfield_gs.photo.photo import Photo
     from lightfield_gs.photo.second_eye import SecondEye
     from lightfield_gs.photo.stereo_matching import Parallax
-    from lightfield_gs.photo.stereo_pair import PairCamera
+    from lightfield_gs.photo.stereo_pair import Pair, PairCamera
     from lightfield_gs.video.sequence import ImageSequence
 
 # Options that ask for another way to a scene than by both eyes
@@ -119,26 +118,23 @@ def check_pair_options(options: PhotoOptions) -> None:
             )
 
 
-def read_pair_photo(path: Path, options: PhotoOptions, layout: PairLayout, most_pixels: int) -> PairPhoto:
-    """Read a stereo pair, and match its pictures.
+def match_pair(path: Path, options: PhotoOptions, pair: Pair, most_pixels: int) -> PairPhoto:
+    """Match the pictures of a stereo pair.
 
     Args:
         path: The file.
         options: Of the photo.
-        layout: Where the two pictures are.
+        pair: The two pictures.
         most_pixels: Number up to which they are reduced.
 
     Raises:
-        InputError: The file cannot be read, or its pictures do not match.
+        InputError: The pictures do not match.
     """
     from lightfield_gs.photo.load import cut_out_photo
     from lightfield_gs.photo.photo import reduce_photo
     from lightfield_gs.photo.rgbd import check_photo_size
     from lightfield_gs.photo.stereo_matching import PairMismatch, Parallax, match_eyes
-    from lightfield_gs.photo.stereo_pair import read_pair
 
-    refuse_unsupported(path)
-    pair = read_pair(path, layout)
     check_photo_size(str(path), *pair.left.pixels.shape[:2])
     photo, right = (cut_out_photo(path, eye, whole=True) for eye in (pair.left, pair.right))
     for eye in (photo, right):

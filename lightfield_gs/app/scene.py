@@ -117,14 +117,15 @@ def check_scene_options(options: SceneOptions, camera: CameraOptions) -> None:
         reason = f"is for files of Gaussians, and {path} is none"
         _refuse(options, ("skip_invalid", "time", "lod"), reason)
         _refuse(camera, ("up", "camera", "turn", "tilt"), reason)
-    if is_file or not has_depth(path, photo):
-        _refuse(photo, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
-    else:
+    check_photo_options(photo, not is_file and has_depth(path, photo))
+
+
+def check_photo_options(photo: PhotoOptions, has_depth: bool) -> None:
+    """Raise InputError where options of a photo exclude each other; has_depth: whether it is shown with its depths."""
+    if has_depth:
         _refuse(photo, _NETWORK_OPTIONS, "is for the network, which --depth does without")
-    _check_photo_options(photo)
-
-
-def _check_photo_options(photo: PhotoOptions) -> None:
+    else:
+        _refuse(photo, _DEPTH_OPTIONS, "is about a depth map, and there is no --depth")
     check_pair_options(photo)
     is_estimated, has_map = photo.is_estimated, photo.depth_file is not None
     if photo.depth is not None:

@@ -20,7 +20,6 @@ import numpy as np
 from lightfield_gs.app.cameras import apply_look, read_camera, report_depth, scene_up
 from lightfield_gs.app.options import AUTO, FLAT, PhotoOptions, SceneOptions
 from lightfield_gs.app.photo import ReadPhoto, photo_rig
-from lightfield_gs.app.photo_depth import steady_estimates
 from lightfield_gs.app.photo_pair import with_video_pair
 from lightfield_gs.app.scene import (
     LoadedScene,
@@ -32,8 +31,9 @@ from lightfield_gs.app.scene import (
     read_source,
     show_levels,
 )
+from lightfield_gs.app.steady_photos import steady_photos
 from lightfield_gs.app.stereo_film import REACH as PAIRS_REACH
-from lightfield_gs.app.stereo_film import film_parallax, layout_of_film, sample_numbers, steady_pairs
+from lightfield_gs.app.stereo_film import film_parallax, layout_of_film, sample_numbers
 from lightfield_gs.app.video import DEFAULT_FPS, VideoOptions
 from lightfield_gs.base.cli_messages import Stopwatch
 from lightfield_gs.base.errors import InputError, named
@@ -287,23 +287,16 @@ def _with_neighbours(
     wanted: set[int],
 ) -> Iterator[tuple[int, SceneOptions, SceneFile | ReadPhoto]]:
     """Yield the wanted ones of pictures in a row, each with depths that are averaged with its neighbours'."""
-    pending: dict[int, tuple[SceneOptions, ReadPhoto]] = {}
+    pending: dict[int, SceneOptions] = {}
 
     def photos() -> Iterator[tuple[int, ReadPhoto]]:
         for number, own, source in sources:
             assert isinstance(source, ReadPhoto)
-            pending[number] = own, source
+            pending[number] = own
             yield number, source
 
-    steady: Iterator[tuple[int, ReadPhoto]]
-    if photo.is_estimated:
-        pictures = ((number, source.photo) for number, source in photos())
-        estimates = steady_estimates(pictures, photo, device)
-        steady = ((number, replace(pending[number][1], estimate=estimate)) for number, estimate in estimates)
-    else:
-        steady = steady_pairs(photos())
-    for number, source in steady:
-        own, _ = pending.pop(number)
+    for number, source in steady_photos(photos(), photo, device):
+        own = pending.pop(number)
         if number in wanted:
             yield number, own, source
 

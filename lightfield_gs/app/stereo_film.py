@@ -48,10 +48,10 @@ def film_parallax(samples: Iterable[ReadPhoto]) -> tuple[float, float] | None:
     return (min(low for low, _ in ends), max(high for _, high in ends)) if ends else None
 
 
-def steady_pairs(sources: Iterable[tuple[int, ReadPhoto]]) -> Iterator[tuple[int, ReadPhoto]]:
+def steady_pairs(sources: Iterable[tuple[int, ReadPhoto]], ahead: int | None = None) -> Iterator[tuple[int, ReadPhoto]]:
     """Yield pairs in a row, each with parallaxes that are averaged with its neighbours' up to the next cut.
 
-    Pairs that did not match stay as they are, and count for no other.
+    Pairs that did not match stay as they are, and count for no other. ahead: see `steadied`.
     """
     from lightfield_gs.photo.steady_depth import steadied
 
@@ -62,7 +62,7 @@ def steady_pairs(sources: Iterable[tuple[int, ReadPhoto]]) -> Iterator[tuple[int
             pending[number] = source
             yield number, _estimate(source)
 
-    for number, estimate in steadied(estimates(), has_scale=False, reach=REACH, is_measured=True):
+    for number, estimate in steadied(estimates(), False, REACH, True, ahead):
         source = pending.pop(number)
         matched = source.matched
         if matched is None or not matched.found.matched:

@@ -127,6 +127,16 @@ def is_metric(model: str | Path, device: Device, kind: str | None) -> bool:
     return _open(model, device, kind, None, None)[1] == "distance"
 
 
+def refuse_windows(model: str | Path, device: Device, kind: str | None) -> None:
+    """Raise InputError for a network that takes many pictures at once: each would wait for those after it."""
+    network, _ = _open(model, device, kind, None, None)
+    if network.at_once > 1:
+        raise InputError(
+            f"{model} ({network.family}) takes {network.at_once} pictures at once, and a live picture would wait for "
+            "them; give depth_model= with a network of single pictures, or make a film with `video`"
+        )
+
+
 def depth_of_estimate(
     image: np.ndarray,
     estimate: PictureEstimate,

@@ -63,7 +63,11 @@ class PictureEstimate:
 
 
 def steadied(
-    estimates: Iterable[tuple[int, PictureEstimate]], has_scale: bool, reach: int = REACH, is_measured: bool = False
+    estimates: Iterable[tuple[int, PictureEstimate]],
+    has_scale: bool,
+    reach: int = REACH,
+    is_measured: bool = False,
+    ahead: int | None = None,
 ) -> Iterator[tuple[int, PictureEstimate]]:
     """Yield each estimate averaged with up to `reach` before and after it.
 
@@ -72,11 +76,13 @@ def steadied(
         has_scale: Whether the disparities are of distances: then they are fitted by their scale alone.
         reach: Pictures to either side.
         is_measured: Whether all disparities are in one unit already; then nothing is fitted.
+        ahead: Pictures after it, up to `reach`. 0: no picture waits for the next. None: `reach`.
     """
+    ahead = reach if ahead is None else ahead
     window: deque[tuple[int, PictureEstimate, bool]] = deque()  # and whether a shot begins with it
     at, incoming, last = 0, iter(estimates), None
     while True:
-        while len(window) - at <= reach and (entry := next(incoming, None)) is not None:
+        while len(window) - at <= ahead and (entry := next(incoming, None)) is not None:
             number, estimate = entry
             window.append((number, estimate, last is None or is_cut(last.colours, estimate.colours)))
             last = estimate

@@ -169,7 +169,11 @@ def _second_in_xmp(path: Path) -> bytes:
 
 def read_pair(path: Path, layout: PairLayout) -> Pair:
     """Read the pictures of both eyes, upright; raise InputError."""
-    picture = read_picture(path)
+    return replace(split_pair(path, read_picture(path), layout), camera=_camera(path))
+
+
+def split_pair(path: Path, picture: Picture, layout: PairLayout) -> Pair:
+    """Return the pictures of both eyes in a picture; raise InputError. The file is read for a second picture alone."""
     layout = layout.resolved(*picture.pixels.shape[:2])
     if layout.kind == "two":
         left, right = picture.pixels, _second_picture(path, picture)
@@ -182,7 +186,7 @@ def read_pair(path: Path, layout: PairLayout) -> Pair:
         raise InputError(
             f"{path}: expected two pictures of one size, got {sizes}; give stereo_in=none to take the first"
         )
-    return Pair(replace(picture, pixels=left), replace(picture, pixels=right), _camera(path), layout)
+    return Pair(replace(picture, pixels=left), replace(picture, pixels=right), None, layout)
 
 
 def split_eyes(path: Path, pixels: np.ndarray, kind: str) -> tuple[np.ndarray, np.ndarray]:

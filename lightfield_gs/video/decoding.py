@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -54,6 +55,26 @@ def av_library(purpose: str) -> ModuleType:
 
 
 @dataclass(frozen=True)
+class Scaling:
+    """How large pictures are reduced.
+
+    Attributes:
+        most_pixels: Number up to which a picture stays as it is.
+        is_nearest: Whether each pixel is one of the picture, as depths need it, not an average.
+    """
+
+    most_pixels: int
+    is_nearest: bool = False
+
+    def size(self, height: int, width: int) -> tuple[int, int]:
+        """Return the reduced height and width: multiples of four, so that halves of a picture stay halves."""
+        scale = math.sqrt(self.most_pixels / (height * width))
+        if scale >= 1:
+            return height, width
+        return max(4, int(height * scale) // 4 * 4), max(4, int(width * scale) // 4 * 4)
+
+
+@dataclass(frozen=True)
 class Timeline:
     """The displayed frames of a video.
 
@@ -70,22 +91,48 @@ class Timeline:
 
 
 @contextmanager
-def _open(path: Path) -> Iterator[tuple[Any, Any]]:
-    """Open PyAV's container and its first video stream. Raises InputError for every error of FFmpeg."""
+def open_video(path: Path) -> Iterator[tuple[Any, Any]]:
+    """Open PyAV's container and the first video stream of a file. Raises InputError for every error of FFmpeg."""
     with reading(path):
         path.open("rb").close()
-    av = av_library(f"{path}: a video")
+    with open_input(str(path), str(path)) as opened:
+        yield opened
+
+
+@contextmanager
+def open_input(
+    address: str,
+    name: str,
+    format: str | None = None,
+    options: dict[str, str] | None = None,
+    timeout: tuple[float, float] | None = None,
+) -> Iterator[tuple[Any, Any]]:
+    """Open PyAV's container and its first video stream.
+
+    Args:
+        address: A path, an address of a stream, or a device's name.
+        name: Its name in messages.
+        format: FFmpeg's name of a format or a device. None: FFmpeg finds it.
+        options: Of the format.
+        timeout: Seconds to open, and to read. None: without end.
+
+    Raises:
+        InputError: For every error of FFmpeg, also within the block.
+    """
+    av = av_library(f"{name}: a video")
     try:
-        with av.open(str(path), metadata_errors="replace") as container:
+        with av.open(
+            address, format=format, options=options or {}, timeout=timeout, metadata_errors="replace"
+        ) as container:
             if not container.streams.video:
-                raise InputError(f"{path}: expected a video, got a file without pictures")
+                raise InputError(f"{name}: expected a video, got a file without pictures")
             stream = container.streams.video[0]
             if stream.width * stream.height > MAX_PIXELS:
-                raise InputError(f"{path}: {stream.width} x {stream.height} pixels; expected at most {MAX_PIXELS}")
+                raise InputError(f"{name}: {stream.width} x {stream.height} pixels; expected at most {MAX_PIXELS}")
             stream.thread_type = "AUTO"
             yield container, stream
     except av.FFmpegError as error:
-        raise InputError(f"{path} is not a video that can be read: {error.strerror or error}") from error
+        raise InputError(f"{name} is not a video that can be read: {error.strerror or error}") from error
 
 
 def timeline(path: Path, in_time: bool = True) -> Timeline:
@@ -98,7 +145,7 @@ def timeline(path: Path, in_time: bool = True) -> Timeline:
     Raises:
         InputError: for a file that is no video, or has no frames.
     """
-    with _open(path) as (container, stream):
+    with open_video(path) as (container, stream):
         frame, found, times = None, 0, []
         for packet in container.demux(stream):
             frame = frame or next(iter(packet.decode()), None)
@@ -107,7 +154,7 @@ def timeline(path: Path, in_time: bool = True) -> Timeline:
                 found += 1
                 times += [] if packet.pts is None else [float(packet.pts * packet.time_base)]
         rate, base = stream.average_rate, stream.base_rate
-        pair = None if frame is None else _pair_layout(frame)
+        pair = None if frame is None else pair_layout(frame)
         notes = [] if frame is None else list(_conversions(stream, frame))
     if not found:
         raise InputError(f"{path}: expected a video, got one without frames")
@@ -124,7 +171,7 @@ def timeline(path: Path, in_time: bool = True) -> Timeline:
     return Timeline(order, fps, tuple(f"{path.name}: {note}" for note in notes), pair)
 
 
-def _pair_layout(frame: Any) -> PairLayout | None:
+def pair_layout(frame: Any) -> PairLayout | None:
     """Return where a frame has two eyes' pictures: by StereoMode of Matroska, st3d of MP4, or the stream's own words.
 
     FFmpeg gives them all as AVStereo3D, which begins with the layout and with flags.
@@ -162,21 +209,33 @@ def decode(path: Path, maps: bool = False) -> Iterator[np.ndarray]:
     Raises:
         InputError: for a file that cannot be decoded.
     """
-    with _open(path) as (container, stream):
-        curve, primaries = stream.codec_context.color_trc, stream.codec_context.color_primaries
-        aspect = _pixel_aspect(stream)
-        for frame in _frames(container, stream):
-            if maps and frame.format.components[0].bits > 8:
-                pixels = _scale(frame, aspect, "gray16le")[..., None]
-            elif not maps and (curve in (_PQ, _HLG) or primaries in _TO_BT709):
-                pixels = _to_srgb(_scale(frame, aspect, "rgb48le"), curve, primaries)
-            else:
-                has_alpha = any(component.is_alpha for component in frame.format.components)
-                pixels = _scale(frame, aspect, "rgba" if has_alpha else "rgb24")
-            yield np.ascontiguousarray(_apply_display_matrix(pixels, frame))
+    with open_video(path) as (container, stream):
+        for frame in frames_of(container, stream):
+            yield frame_pixels(frame, stream, maps)
 
 
-def _frames(container: Any, stream: Any) -> Iterator[Any]:
+def frame_pixels(frame: Any, stream: Any, maps: bool = False, scaling: Scaling | None = None) -> np.ndarray:
+    """Return the pixels of a frame of PyAV, as `decode` yields them.
+
+    Args:
+        frame: The frame.
+        stream: Its stream.
+        maps: See `decode`.
+        scaling: How a large frame is reduced. None: it is not.
+    """
+    curve, primaries = stream.codec_context.color_trc, stream.codec_context.color_primaries
+    aspect = _pixel_aspect(stream)
+    if maps and frame.format.components[0].bits > 8:
+        pixels = _scale(frame, aspect, "gray16le", scaling)[..., None]
+    elif not maps and (curve in (_PQ, _HLG) or primaries in _TO_BT709):
+        pixels = _to_srgb(_scale(frame, aspect, "rgb48le", scaling), curve, primaries)
+    else:
+        has_alpha = any(component.is_alpha for component in frame.format.components)
+        pixels = _scale(frame, aspect, "rgba" if has_alpha else "rgb24", scaling)
+    return np.ascontiguousarray(_apply_display_matrix(pixels, frame))
+
+
+def frames_of(container: Any, stream: Any) -> Iterator[Any]:
     """Yield PyAV's frames, deinterlaced, with alpha where the video has it."""
     av = av_library("a video")
     decoder = _ALPHA_DECODERS.get(stream.codec_context.name)
@@ -230,14 +289,18 @@ def _pixel_aspect(stream: Any) -> Fraction:
     return Fraction(stream.sample_aspect_ratio or 1)
 
 
-def _scale(frame: Any, aspect: Fraction, pixel_format: str) -> np.ndarray:
+def _scale(frame: Any, aspect: Fraction, pixel_format: str, scaling: Scaling | None) -> np.ndarray:
     """Scale a frame to square pixels; the shorter side is enlarged."""
     width, height = frame.width, frame.height
     if aspect > 1:
         width = min(round(width * aspect), MAX_PIXELS // height)
     elif aspect < 1:
         height = min(round(height / aspect), MAX_PIXELS // width)
-    return frame.reformat(width=width, height=height, format=pixel_format).to_ndarray()
+    how: dict[str, str] = {}
+    if scaling is not None:
+        height, width = scaling.size(height, width)
+        how = {"interpolation": "POINT"} if scaling.is_nearest else {"interpolation": "AREA"}
+    return frame.reformat(width=width, height=height, format=pixel_format, **how).to_ndarray()
 
 
 def _apply_display_matrix(pixels: np.ndarray, frame: Any) -> np.ndarray:

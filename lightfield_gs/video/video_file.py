@@ -100,7 +100,7 @@ class VideoFile:
 
     Args:
         path: the file.
-        count: number of frames.
+        count: number of frames; 0 where it is not known before.
         size_px: (width, height); even for h264 and hevc (4:2:0).
         fps: frames a second.
         codec: "ffv1" and "h264-rgb" are lossless.
@@ -135,7 +135,7 @@ class VideoFile:
         self.missing = list(range(count))
 
     def __enter__(self) -> VideoFile:
-        self._frames: queue.Queue[np.ndarray | None] = queue.Queue(_WAITING)
+        self._frames: queue.Queue[tuple[int, np.ndarray] | None] = queue.Queue(_WAITING)
         self._failed: BaseException | None = None
         self._is_abandoned = self._is_ended = False
         self._thread = threading.Thread(target=self._run, name="video", daemon=True)
@@ -147,10 +147,15 @@ class VideoFile:
         return to_numpy(image)
 
     def put(self, number: int, image: np.ndarray) -> None:
-        """Queue the next frame, uint8 [H, W, 3], which must not change any more; block while four are waiting."""
+        """Queue the next frame, which must not change any more; block while four are waiting.
+
+        Args:
+            number: When it is shown, in frames from the first, more than the last one's.
+            image: uint8 [H, W, 3].
+        """
         if self._failed is not None:
             raise self._failed
-        self._frames.put(image)
+        self._frames.put((number, image))
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._is_abandoned = kind is not None
@@ -175,18 +180,20 @@ class VideoFile:
         while not self._is_ended:
             self._next()
 
-    def _next(self) -> np.ndarray | None:
+    def _next(self) -> tuple[int, np.ndarray] | None:
         """Return the next frame; None at the end, after which it must not be called."""
-        image = self._frames.get()
-        self._is_ended = image is None
-        return image
+        numbered = self._frames.get()
+        self._is_ended = numbered is None
+        return numbered
 
     def _encode(self, path: Path) -> None:
         options = {"movflags": "faststart"} if path.suffix.lower() in (".mp4", ".mov") else {}
         with self._av.open(str(path), "w", options=options) as container:
             stream = self._stream(container)
-            while (image := self._next()) is not None:
-                container.mux(stream.encode(self._frame(image)))
+            while (numbered := self._next()) is not None:
+                frame = self._frame(numbered[1])
+                frame.pts, frame.time_base = numbered[0], 1 / self._fps
+                container.mux(stream.encode(frame))
             if self._is_abandoned:
                 raise _AbandonedError
             container.mux(stream.encode(None))

@@ -33,6 +33,7 @@ ROOMS = (
     "lightfield_gs.gsplat",
     "training",
     "lightfield_gs.app",
+    "lightfield_gs.live",
     "lightfield_gs.commands.options",
     "lightfield_gs.bench",
     "benchmarks",

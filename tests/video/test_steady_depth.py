@@ -39,6 +39,28 @@ def test_still_pixels_stay_where_they_are():
     assert change_px(estimates) > 1.2 and change_px(result) <= 0.3
 
 
+def test_live_pictures_are_steady_without_the_next_and_a_cut_begins_anew_at_once():
+    """No picture waits: each is yielded before the next is read."""
+    read: list[int] = []
+
+    def numbered(estimates):
+        for number, estimate in estimates:
+            read.append(number)
+            yield number, estimate
+
+    estimates = noisy(24)
+    result = []
+    for number, estimate in steadied(numbered(estimates), has_scale=False, ahead=0):
+        assert read[-1] == number
+        result.append((number, estimate))
+    assert change_px(estimates) > 1.2 and change_px(result) <= 0.3
+    other = [(number + 24, PictureEstimate(9 - each.disparities, 1 - each.colours**2)) for number, each in noisy(3, 1)]
+    after = list(steadied([*estimates, *other], has_scale=False, ahead=0))[24:]
+    assert all(
+        torch.equal(a.disparities, b.disparities) for (_, a), (_, b) in zip(after, steadied(other, False, ahead=0))
+    )
+
+
 def test_an_interrupted_run_goes_on_with_the_same_numbers():
     estimates = noisy(12)
     whole = dict(steadied(estimates, has_scale=False, reach=2))

@@ -47,7 +47,18 @@ def add_scene(
     mask: str = "cut-out of a photo, of the same size: bright or opaque on the object",
     of_mask: str = "IMAGE",
 ) -> None:
-    """Add the options of a scene.
+    """Add the options of a scene, see `add_photo`."""
+    add_photo(add, cutting, mask, of_mask)
+    add_reading(add)
+
+
+def add_photo(
+    add: Add,
+    cutting: str,
+    mask: str = "cut-out of a photo, of the same size: bright or opaque on the object",
+    of_mask: str = "IMAGE",
+) -> None:
+    """Add the options of a photo.
 
     Args:
         add: adds an option.
@@ -71,7 +82,6 @@ def add_scene(
         metavar="FILE",
         help="weights of the network, .safetensors (default: the weights in the package)",
     )
-    add_reading(add)
 
 
 def add_reading(add: Add) -> None:

@@ -59,7 +59,11 @@ def add_serving(add: Add) -> None:
 
 
 def serve(
-    options: ServingOptions, routes: Mapping[str, Route], start: str, opened: Callable[[str], object] | None = None
+    options: ServingOptions,
+    routes: Mapping[str, Route],
+    start: str,
+    opened: Callable[[str], object] | None = None,
+    began: Callable[[Callable[[], None]], None] | None = None,
 ) -> None:
     """Serve the routes until Ctrl-C, and open the one named `start` in the browser. Raises InputError.
 
@@ -68,6 +72,7 @@ def serve(
         routes: By their paths.
         start: A path among them.
         opened: Opens a browser at an address; None: the usual one is opened.
+        began: Called when the address is taken, with what ends the serving, from another thread.
     """
     from lightfield_gs.show.page.server import Server
 
@@ -84,4 +89,6 @@ def serve(
         urls = [url + start for url in server.other_urls]
         print(f"from other machines: {', '.join(urls) or 'by an address of this one, which is not known'}")
     sys.stdout.flush()
+    if began is not None:
+        began(server.shutdown)
     server.run(None if options.no_open else start, *([] if opened is None else [opened]))

@@ -38,6 +38,11 @@ def add_fps(add: Add, short: str = "frames a second (default 30)") -> None:
     )
 
 
+def add_codec(add: Add, help: str) -> None:
+    """Add the codec of a video."""
+    add("--codec", choices=CODECS, help=help)
+
+
 def add_motion(add: Add) -> None:
     """Add the options of the cameras' motion and of the number of frames."""
     add = in_group(add, groups.MOTION)
@@ -95,10 +100,9 @@ def add_result(add: Add) -> None:
         help="a display of ordinary videos. hololuminescent: Looking Glass's HLD, 3840x2160, white around the subject, "
         "9 %% of the height above it and 3 %% below",
     )
-    add(
-        "--codec",
-        choices=CODECS,
-        help="of a video. Lossless, for native: h264-rgb (default of .mp4 and .mov), ffv1 (default of .mkv). "
+    add_codec(
+        add,
+        "of a video. Lossless, for native: h264-rgb (default of .mp4 and .mov), ffv1 (default of .mkv). "
         "4:2:0, for quilt and 2d: h264 (default), hevc",
     )
     add(

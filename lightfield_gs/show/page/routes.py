@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -20,6 +21,7 @@ def panel_routes(
     version: Callable[[int], int],
     fills: bool = False,
     controls: Callable[[], dict[str, object]] | None = None,
+    sent: Callable[[int], None] | None = None,
 ) -> dict[str, Route]:
     """Return the addresses of the panel's own page.
 
@@ -28,6 +30,7 @@ def panel_routes(
         version: Returns the picture's version once it differs from the given number, or after a while.
         fills: Whether the picture fills the screen, as of two eyes, instead of being shown pixel for pixel.
         controls: Returns those of the picture, for browsers that draw it themselves. None: they cannot.
+        sent: Called with the version of a picture whose last byte is on its way to a browser.
     """
 
     def drawn_by() -> dict[str, object]:
@@ -38,7 +41,7 @@ def panel_routes(
         size = {"width_px": panel.width_px, "height_px": panel.height_px}
         return as_json({"name": panel.name, **size, "version": version(after), "fills": fills, **drawn_by()})
 
-    packed = _Packed(native)
+    packed = _Packed(native, sent)
     return {
         "/panel": page_file("panel.html"),
         "/panel.css": page_file("panel.css"),
@@ -58,10 +61,11 @@ class _Packed:
 
     Args:
         native: See panel_routes.
+        sent: See there.
     """
 
-    def __init__(self, native: Callable[[], tuple[int, np.ndarray]]):
-        self._native, self._turn = native, threading.Lock()
+    def __init__(self, native: Callable[[], tuple[int, np.ndarray]], sent: Callable[[int], None] | None):
+        self._native, self._sent, self._turn = native, sent, threading.Lock()
         self._version, self._answer = -1, text("")
 
     def answer(self, version: int) -> Answer:
@@ -69,7 +73,10 @@ class _Packed:
         with self._turn:
             if self._version != version:
                 self._version, pixels = self._native()
-                self._answer = Answer(image_bytes(pixels, "PNG", compress_level=0), "image/png")
+                sent = None if self._sent is None else partial(self._sent, self._version)
+                numbered = {"X-Version": str(self._version)}
+                packed = image_bytes(pixels, "PNG", compress_level=0)
+                self._answer = Answer(packed, "image/png", headers=numbered, sent=sent)
             return self._answer
 
 

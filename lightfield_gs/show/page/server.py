@@ -56,12 +56,17 @@ _HEADERS = {
 
 @dataclass
 class Answer:
-    """The answer to a request: bytes of a type, with more headers."""
+    """The answer to a request: bytes of a type, with more headers.
+
+    Attributes:
+        sent: Called when the last byte of a GET is on its way.
+    """
 
     body: bytes
     type: str
     status: int = 200
     headers: dict[str, str] = field(default_factory=dict)
+    sent: Callable[[], None] | None = None
 
 
 Query = Mapping[str, str]
@@ -450,3 +455,5 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         if self.command != "HEAD":
             self.wfile.write(answer.body)
+            if answer.sent is not None:
+                answer.sent()

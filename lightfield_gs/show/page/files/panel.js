@@ -30,11 +30,16 @@ async function drawHere(controls) {
   return true;
 }
 
+/** Places the server's picture, which may be newer than the one asked for, and returns its version. */
 async function fetched(version) {
-  const next = Object.assign(new Image(), { src: `panel.png?version=${version}`, id: "picture", alt: find("#picture").alt });
-  await next.decode();
+  const answer = await fetch(`panel.png?version=${version}`);
+  if (!answer.ok) throw new Error(answer.statusText);
+  const url = URL.createObjectURL(await answer.blob());
+  const next = Object.assign(new Image(), { src: url, id: "picture", alt: find("#picture").alt });
+  await next.decode().finally(() => URL.revokeObjectURL(url));
   place(next);
   document.body.dataset.draws = "server";
+  return Number(answer.headers.get("X-Version"));
 }
 
 function place(picture) {
@@ -47,9 +52,10 @@ async function follow() {
     try {
       const answer = await (await fetch(`panel.json?after=${version}`)).json();
       if (answer.version !== version) {
-        if (!answer.controls || !(await drawHere(answer.controls))) await fetched(answer.version);
+        const isDrawn = answer.controls && (await drawHere(answer.controls));
+        const shown = isDrawn ? answer.version : await fetched(answer.version);
         document.title = `${answer.name} · lightfield-gs`;
-        [panel, version] = [answer, answer.version];
+        [panel, version] = [answer, shown];
         document.body.dataset.version = version;
         check();
       }

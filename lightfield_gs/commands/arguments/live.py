@@ -1,0 +1,76 @@
+"""The arguments of `lightfield-gs live`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lightfield_gs.base.options import QUALITY_NAMES, VIEWS
+from lightfield_gs.commands.options import groups
+from lightfield_gs.commands.options.groups import in_group, rarely
+from lightfield_gs.commands.options.messages import add_quiet
+from lightfield_gs.commands.options.panel import add_drawing_device, add_look, add_panel, add_rendering
+from lightfield_gs.commands.options.parser import Parser, whole, within
+from lightfield_gs.commands.options.scene import add_photo
+from lightfield_gs.commands.options.serving import add_serving
+from lightfield_gs.commands.options.video import add_codec, add_fps
+
+
+def add_arguments(parser: Parser) -> None:
+    """Add the arguments of `lightfield-gs live`."""
+    parser.description = "Show a camera, the screen, a stream or a film on the 3D display, while it happens."
+    parser.epilog = "A browser shows it on the display. A line a second says how it fares. Ctrl-C ends it."
+    parser.text.examples = (
+        ("live camera:0 --depth auto", "a camera, whole, in depth"),
+        ("live camera:0 --remove-background", "who sits before it, alone"),
+        ("live screen:0,0,1280x720 --depth auto", "a part of the screen"),
+        ("live rtsp://door/1 --depth auto -o out.mkv", "record it, too"),
+    )
+    add = in_group(parser.add_argument, groups.OWN)
+    add(
+        "source",
+        metavar="SOURCE",
+        short="camera:0, screen:, an address, a video, or a folder that grows",
+        help="camera:N or camera:NAME; screen: or a part of it, screen:X,Y,WxH; an address, as rtsp://... or "
+        "http://...; a video, at its own rate; a folder, of which the newest picture is shown",
+    )
+    add(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        short="record the display's picture: .mkv, .mp4 or .mov",
+        help="record the picture of the panel, without loss: .mkv, .mp4 or .mov, which `show` plays",
+    )
+    add_codec(add, "of the recording: h264-rgb (default of .mp4 and .mov) or ffv1 (default of .mkv)")
+    add = in_group(parser.add_argument, groups.MOTION)
+    add("--loop", action="store_true", short="begin a film again at its end", help="begin a video again at its end")
+    add(
+        "--seconds",
+        type=within(0.1, 1e7, "seconds"),
+        metavar="S",
+        short="end after so many seconds",
+        help="end after so many seconds from the first picture (default: at Ctrl-C, or at the end of a film)",
+    )
+    add_fps(add, "frames a second to hold (default 30)")
+    add(
+        "--pixels",
+        type=whole(160 * 90, 1_500_000),
+        metavar="N",
+        help="take so many pixels of each picture at most, 14400..1500000 (default: as many as hold --fps; a line says "
+        "when they become fewer)",
+    )
+    add_panel(parser.add_argument, "for framing")
+    add_look(parser.add_argument)
+    add_photo(parser.add_argument, "cut the object out of each picture with rembg, as `encode` does")
+    add = in_group(parser.add_argument, groups.DRAWING)
+    add("--views", choices=VIEWS, default="integer", help="as in `encode` (default integer)")
+    add(
+        "--quality",
+        choices=QUALITY_NAMES,
+        default="exact",
+        help="less time for more error (default exact), as `encode`",
+    )
+    add_rendering(rarely(parser.add_argument))
+    add_drawing_device(rarely(parser.add_argument))
+    add_serving(parser.add_argument)
+    add_quiet(parser.add_argument)

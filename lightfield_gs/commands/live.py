@@ -1,0 +1,205 @@
+"""`lightfield-gs live`: a camera, the screen, a stream or a film on the panel while it happens."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import time
+import webbrowser
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+from lightfield_gs.app.options import LookOptions, PanelOptions, PhotoOptions, RenderOptions
+from lightfield_gs.app.panel import connected_position, load_panel, where_to_show
+from lightfield_gs.app.scene import check_photo_options
+from lightfield_gs.app.video import DEFAULT_FPS
+from lightfield_gs.base.cli_messages import as_options, capturable_streams, say, say_next
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import CodecName, QualityName, Views
+from lightfield_gs.commands.options.parser import read_options
+from lightfield_gs.commands.options.serving import ServingOptions, serve
+from lightfield_gs.io.atomic import check_outputs
+from lightfield_gs.live.detail import Detail
+from lightfield_gs.live.health import Health
+from lightfield_gs.live.outs import Out, PageOut, Recording
+from lightfield_gs.live.pipeline import Pipeline
+from lightfield_gs.live.reader import Reader
+from lightfield_gs.live.scenes import LiveScenes
+from lightfield_gs.live.sources import open_source
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.photo.side_by_side import is_rgbd_name
+from lightfield_gs.show.display_browser import DisplayBrowser, find_browser
+from lightfield_gs.video.rendering import FrameOptions, NativeRenderer
+from lightfield_gs.video.video_file import choose_codec
+from lightfield_gs.webgpu.devices import choose_drawing_device
+
+_MANY_FRAMES = 100  # for the choice of a device, whose start they outweigh
+_LINE_S = 1.0  # between two lines on how it fares
+# Options of a photo that a live picture cannot have, with what takes their place
+_NOT_LIVE = {
+    "mask": "a live picture has no mask in a file: use --remove-background",
+    "map_orientation": "a live picture has no map in a file",
+    "intrinsics": "the pictures may be taken smaller: give --fov",
+    "pixel_aspect": "live pictures have square pixels",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """A source, and how it is shown.
+
+    Attributes:
+        source: As `open_source` takes it.
+        output: Of the recording. None: nothing is recorded.
+        loop: Whether a film begins again.
+        seconds: After which it ends. None: at Ctrl-C, or at the end of a film.
+        fps: Frames a second that are to be held.
+        pixels: Of a picture, at most. None: as many as hold the rate.
+    """
+
+    source: str
+    panel: PanelOptions
+    look: LookOptions
+    photo: PhotoOptions
+    render: RenderOptions
+    serving: ServingOptions
+    output: Path | None = None
+    codec: CodecName | None = None
+    loop: bool = False
+    seconds: float | None = None
+    fps: Fraction | None = None
+    pixels: int | None = None
+    views: Views = "integer"
+    quality: QualityName = "exact"
+    device: str = "auto"
+
+
+def run(args: argparse.Namespace) -> None:
+    """Show args.source until Ctrl-C. Raises InputError."""
+    with capturable_streams(), ExitStack() as stack:
+        _show(read_options(LiveOptions, args), stack)
+
+
+def _show(options: LiveOptions, stack: ExitStack) -> None:
+    _check(options)
+    fps = options.fps or DEFAULT_FPS
+    source = open_source(options.source, float(fps), options.loop)
+    panel = load_panel(options.panel)
+    device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
+    health, detail = Health(), Detail(float(fps), options.pixels, options.photo.rgbd is not None)
+    page = PageOut(panel, health)
+    outs: list[Out] = [page]
+    recording = None
+    if options.output is not None:
+        codec = choose_codec(options.output, "native", options.codec)
+        recording = Recording(options.output, panel, fps, codec, health)
+        outs.append(recording)
+    reader = Reader(source, health.has_taken, _say_now)
+    scenes = LiveScenes(source, options.photo, options.render, options.look, panel, device.torch, detail, health)
+    reader.start()
+    stack.callback(reader.stop)
+    _say_now(f"{source.name}: waiting for its first picture")
+    try:
+        scenes.settle(iter(reader.newest))
+    except InputError as error:
+        raise reader.failed or error from None
+    how = scenes.drawn_as
+    drawing = FrameOptions(
+        options.views, how.background, options.quality, how.antialiased, how.view_filter, device.webgpu
+    )
+    height, width = detail.size_px
+    say(f"{source.name}: {width} x {height}, on panel {panel.name}", *device.messages, *scenes.messages)
+    health.take()  # the start is no part of how it fares
+    end = _End(health, detail, options.seconds)
+    pipeline = Pipeline(reader, scenes, NativeRenderer(panel, drawing, False), outs, health, end.now)
+    if recording is not None:
+        recording.begin()
+        stack.callback(recording.end)
+    began = time.monotonic()
+
+    def start(end_serving: Callable[[], None]) -> None:
+        pipeline.start()
+        end.start(end_serving)
+
+    try:
+        serve(options.serving, page.routes(), "/panel", _opener(options, panel, stack), start)
+    finally:
+        end.now()
+        pipeline.stop()
+    seconds = time.monotonic() - began
+    say(f"{health.drawn} frames in {seconds:.1f} s, of {health.taken} that came")
+    if options.output is not None and health.drawn:
+        say_next("show", options.output)
+
+
+def _check(options: LiveOptions) -> None:
+    """Raise InputError for options that a live picture cannot have."""
+    photo = options.photo
+    for name, way in _NOT_LIVE.items():
+        if getattr(photo, name) is not None:
+            raise InputError(as_options(f"{name}=: {way}; leave it out"))
+    if photo.depth_file is not None:
+        raise InputError(
+            f"--depth {photo.depth_file}: a live picture has no depth map in a file; give --depth auto or flat, or "
+            "--rgbd where the depths are a half of it"
+        )
+    has_pair = photo.stereo_in not in (None, "none")
+    is_deep = photo.depth is not None or photo.rgbd is not None or has_pair or is_rgbd_name(Path(options.source))
+    check_photo_options(photo, is_deep)
+    if options.output is not None:
+        check_outputs((options.output,), (options.source,))
+
+
+def _say_now(line: str) -> None:
+    """Print a line at once."""
+    say(line)
+    print(end="", flush=True)
+
+
+def _opener(options: LiveOptions, panel: Panel, stack: ExitStack) -> Callable[[str], object]:
+    """Return what opens the page: a browser of its own on the display where that is found, else the usual one."""
+    position = None if options.serving.no_open else connected_position()
+    if options.panel.panel is None:
+        say(*where_to_show(panel, is_opened_there=position is not None and find_browser() is not None))
+    if position is None or find_browser() is None:
+        return webbrowser.open
+    browser = DisplayBrowser(position, (panel.width_px, panel.height_px))
+    stack.callback(browser.close)
+    return browser.open
+
+
+class _End:
+    """Says each second how it fares, and ends the serving after some seconds, or when it is told.
+
+    Args:
+        health: What is said.
+        detail: Adapted to it.
+        seconds: After which it ends. None: never.
+    """
+
+    def __init__(self, health: Health, detail: Detail, seconds: float | None):
+        self._health, self._detail, self._seconds = health, detail, seconds
+        self._is_over = threading.Event()
+
+    def start(self, end_serving: Callable[[], None]) -> None:
+        """Begin."""
+        threading.Thread(target=self._run, args=(end_serving,), name="health", daemon=True).start()
+
+    def now(self) -> None:
+        """End the serving."""
+        self._is_over.set()
+
+    def _run(self, end_serving: Callable[[], None]) -> None:
+        began = time.monotonic()
+        while True:
+            left = _LINE_S if self._seconds is None else min(_LINE_S, began + self._seconds - time.monotonic())
+            if self._is_over.wait(max(0.0, left)) or left < _LINE_S:
+                end_serving()
+                return
+            span = self._health.take()
+            _say_now(span.line())
+            if (words := self._detail.adapt(span)) is not None:
+                _say_now(words)

@@ -1,0 +1,54 @@
+"""How large the pictures of a source are taken, so that the rate holds."""
+
+from __future__ import annotations
+
+from lightfield_gs.live.health import Span
+from lightfield_gs.video.decoding import Scaling
+
+MOST_PIXELS = 1_500_000  # as of a photo: a view of a panel has fewer
+LEAST_PIXELS = 160 * 90
+_SLOW = 1.1  # of the time for a frame, from which on a stage is too slow
+_AIM, _STEP = 0.9, 0.25  # of the time that is aimed at, and the most that one step leaves of the pixels
+STAGES = ("network", "depth", "encode")  # which take less time for fewer pixels
+
+
+class Detail:
+    """The size of the pictures, which becomes less where a stage is too slow for the rate; never more.
+
+    Args:
+        fps: The frames a second to hold.
+        pixels: Of a picture. None: as many as hold the rate.
+        is_nearest: See Scaling.
+    """
+
+    def __init__(self, fps: float, pixels: int | None, is_nearest: bool):
+        self._fps, self._is_fixed, self._is_said, self._is_new = fps, pixels is not None, False, True
+        self.scaling = Scaling(pixels or MOST_PIXELS, is_nearest)
+        self.size_px: tuple[int, int] = (0, 0)  # height and width of the last picture
+
+    def adapt(self, span: Span) -> str | None:
+        """Take smaller pictures where a stage was too slow, and return a line on it.
+
+        The rate of the source bounds too: no picture becomes smaller for a rate that the source does not have.
+        """
+        times = {name: mean for name in STAGES if (mean := span.mean_s(name)) is not None}
+        if self._is_fixed or self._is_said or not times or span.seconds <= 0:
+            return None
+        if self._is_new:  # the first pictures of a size take longer
+            self._is_new = False
+            return None
+        stage = max(times, key=lambda name: times[name])
+        wanted = 1 / min(self._fps, max(1.0, span.taken / span.seconds))
+        if times[stage] <= _SLOW * wanted:
+            return None
+        words = f"the {stage} takes {1000 * times[stage]:.0f} ms for a frame, and {1 / wanted:.3g} a second are wanted"
+        height, width = self.size_px
+        now = min(self.scaling.most_pixels, height * width)
+        if now <= LEAST_PIXELS:
+            self._is_said = True
+            slower = f"give --fps {1 / times[stage]:.2g}"
+            return f"{words}: the pictures are as small as they get ({width} x {height}); {slower}"
+        fewer = max(LEAST_PIXELS, int(now * max(_STEP, _AIM * wanted / times[stage])))
+        self.scaling, self._is_new = Scaling(fewer, self.scaling.is_nearest), True
+        after = self.scaling.size(height, width)
+        return f"{words}: pictures are taken at {after[1]} x {after[0]}, not {width} x {height} (--pixels keeps a size)"

@@ -1,0 +1,119 @@
+"""How a live picture fares: frames a second, dropped ones, latency, and which stage bounds them."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from statistics import median
+
+from lightfield_gs.live.sources import Frame
+
+_BUSY = 0.75  # part of the time from which on a stage, not the source, bounds the rate
+
+
+@dataclass
+class Span:
+    """What happened within some seconds.
+
+    Attributes:
+        began: Seconds of time.monotonic.
+        seconds: How long it was; 0 while it lasts.
+        taken: Pictures that the source gave.
+        drawn: Pictures of the panel that were made.
+        latencies_s: From taken to sent, of each picture that was sent.
+        busy_s: Of each stage.
+        done: How many pictures each stage made.
+        unused: Reasons why pictures could not be used, and of how many.
+    """
+
+    began: float = field(default_factory=time.monotonic)
+    seconds: float = 0.0
+    taken: int = 0
+    drawn: int = 0
+    latencies_s: list[float] = field(default_factory=list)
+    busy_s: dict[str, float] = field(default_factory=dict)
+    done: dict[str, int] = field(default_factory=dict)
+    unused: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def shown(self) -> int:
+        """Pictures that were sent."""
+        return len(self.latencies_s)
+
+    @property
+    def bound(self) -> str:
+        """The stage that bounds the rate: the busiest, or the source where all of them wait for it."""
+        name, busy = max(self.busy_s.items(), key=lambda item: item[1], default=("source", 0.0))
+        return name if self.seconds > 0 and busy >= _BUSY * self.seconds else "source"
+
+    def mean_s(self, stage: str) -> float | None:
+        """Return the seconds that a stage takes for a picture; None where it made none."""
+        count = self.done.get(stage, 0)
+        return self.busy_s[stage] / count if count else None
+
+    def line(self) -> str:
+        """Return the health line."""
+        rate = 1 / max(self.seconds, 1e-9)
+        unused = sum(self.unused.values())
+        parts = [f"{self.shown * rate:.1f} frames a second shown"]
+        if not self.shown and self.drawn:
+            parts = [f"{self.drawn * rate:.1f} frames a second drawn, none shown (is the page open?)"]
+        parts.append(f"{max(0, self.taken - max(self.shown, self.drawn) - unused)} of {self.taken} dropped")
+        if self.shown:
+            parts.append(f"{1000 * median(self.latencies_s):.0f} ms from taken to sent")
+        parts += [f"{count} not used: {reason}" for reason, count in self.unused.items()]
+        return ", ".join([*parts, f"bound by the {self.bound}"])
+
+
+class Health:
+    """Counts, from all threads."""
+
+    def __init__(self) -> None:
+        self._lock, self._span = threading.Lock(), Span()
+        self.shown, self.drawn, self.taken = 0, 0, 0
+
+    def has_taken(self, frame: Frame) -> None:
+        """Count a picture of the source."""
+        with self._lock:
+            self._span.taken += 1
+            self.taken += 1
+
+    def has_drawn(self) -> None:
+        """Count a picture of the panel."""
+        with self._lock:
+            self._span.drawn += 1
+            self.drawn += 1
+
+    def has_sent(self, frame: Frame) -> None:
+        """Count a picture whose last byte is on its way, or in the hands of the recorder."""
+        with self._lock:
+            self._span.latencies_s.append(time.monotonic() - frame.taken)
+            self.shown += 1
+
+    def could_not_use(self, reason: str) -> None:
+        """Count a picture of which no scene could be made."""
+        with self._lock:
+            self._span.unused[reason] = self._span.unused.get(reason, 0) + 1
+
+    def add_busy(self, stage: str, seconds: float) -> None:
+        """Count the time that a stage took for a picture."""
+        with self._lock:
+            self._span.busy_s[stage] = self._span.busy_s.get(stage, 0.0) + seconds
+            self._span.done[stage] = self._span.done.get(stage, 0) + 1
+
+    @contextmanager
+    def busy(self, stage: str) -> Iterator[None]:
+        """Count the time of the block for a stage."""
+        began = time.perf_counter()
+        yield
+        self.add_busy(stage, time.perf_counter() - began)
+
+    def take(self) -> Span:
+        """Return what happened since the last call."""
+        with self._lock:
+            span, self._span = self._span, Span()
+        span.seconds = self._span.began - span.began
+        return span

@@ -1,0 +1,170 @@
+"""Scenes of pictures in a row: the first picture settles how all of them are taken, as `video` does for a film."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from lightfield_gs.app.cameras import read_camera
+from lightfield_gs.app.options import AUTO, FLAT, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
+from lightfield_gs.app.photo import ReadPhoto, read_frame
+from lightfield_gs.app.photo_pair import has_other_way
+from lightfield_gs.app.scene import build_scene, check_scene_options, frame_scene, read_source
+from lightfield_gs.app.steady_photos import steady_photos
+from lightfield_gs.app.stereo_film import film_parallax, layout_of_film
+from lightfield_gs.base.cli_messages import Stopwatch, capture
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import StereoInput
+from lightfield_gs.io.atomic import scratch_folder
+from lightfield_gs.io.images import Picture, write_image
+from lightfield_gs.live.detail import Detail
+from lightfield_gs.live.health import Health
+from lightfield_gs.live.sources import Frame, Source
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
+from lightfield_gs.photo.cut_out import NoCutOut
+from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name
+from lightfield_gs.photo.stereo_matching import PairMismatch
+from lightfield_gs.photo.stereo_pair import can_match
+from lightfield_gs.scene.gaussians import Gaussians
+
+_PATIENCE_S = 3.0  # with pictures of which no scene can be made, at the beginning: cameras begin dark
+
+
+class LiveScenes:
+    """The scene of each picture of a source.
+
+    Args:
+        source: The source.
+        photo: How its pictures are taken, as far as options say.
+        render: How scenes are drawn.
+        look: How they are framed.
+        panel: The panel.
+        device: Where networks and scenes are.
+        detail: The size of the pictures.
+        health: Counts times and pictures that cannot be used.
+
+    Attributes:
+        rig: Of all scenes, by the first picture.
+        messages: Lines on what the first picture settled.
+    """
+
+    rig: Rig
+
+    def __init__(
+        self,
+        source: Source,
+        photo: PhotoOptions,
+        render: RenderOptions,
+        look: LookOptions,
+        panel: Panel,
+        device: str,
+        detail: Detail,
+        health: Health,
+    ):
+        self._source, self._photo, self._render, self._look = source, photo, render, look
+        self._panel, self._device, self.detail, self._health = panel, device, detail, health
+        self._name = Path(source.name)
+        self.messages: list[str] = []
+
+    @property
+    def stage(self) -> str:
+        """The name of what is done here: an object's network, or depth."""
+        return "depth" if self._is_whole else "network"
+
+    def settle(self, frames: Iterator[Frame]) -> None:
+        """Settle by the first picture of which a scene can be made. Raises InputError where none comes in time."""
+        until: float | None = None
+        for frame in frames:
+            until = until or time.monotonic() + _PATIENCE_S
+            try:
+                self._settle_by(self._picture(frame))
+                return
+            except (NoCutOut, PairMismatch):
+                if time.monotonic() > until:
+                    raise
+        raise InputError(f"{self._source.name}: it ended before a picture came of which a scene can be made")
+
+    def __call__(self, frames: Iterator[Frame]) -> Iterator[tuple[Frame, Gaussians]]:
+        """Yield the scene of each picture, with depths that are averaged with those before it, up to a cut."""
+        taken: dict[int, tuple[Frame, float]] = {}
+
+        def photos() -> Iterator[tuple[int, ReadPhoto]]:
+            for frame in frames:
+                began = time.perf_counter()
+                try:
+                    with capture([]):
+                        read = read_frame(self._name, self._picture(frame), self._photo)
+                except InputError as error:
+                    reason = error.reason if isinstance(error, NoCutOut) else str(error)
+                    self._health.could_not_use(self._renamed(reason, self._name))
+                    continue
+                taken[frame.number] = frame, began
+                yield frame.number, read
+
+        options = SceneOptions(self._name, photo=self._photo)
+        for number, photo in steady_photos(photos(), self._photo, self._device, ahead=0):
+            frame, began = taken.pop(number)
+            with capture([]):
+                how = options, photo, self._render, self._look, self._panel, self._device
+                scene = build_scene(*how, Stopwatch(0.0)).gaussians
+            self._health.add_busy(self.stage, time.perf_counter() - began)
+            yield frame, scene
+
+    def _picture(self, frame: Frame) -> Picture:
+        picture = frame.picture(self.detail.scaling)
+        self.detail.size_px = picture.pixels.shape[0], picture.pixels.shape[1]
+        return picture
+
+    def _settle_by(self, picture: Picture) -> None:
+        """Take a picture as `video` takes the first of a film: from a file, by which it guesses what it is."""
+        lines: list[str] = []
+        with scratch_folder() as folder:
+            kind = ".exr" if picture.pixels.dtype == np.float32 else ".png"
+            path = folder / (re.sub(r"[^\w-]+", "_", self._name.stem)[-60:] + kind)
+            write_image(path, picture.pixels)
+            with capture(lines):
+                photo, messages = self._kind_of(path, picture)
+                options = SceneOptions(path, photo=photo)
+                check_scene_options(options, CameraOptions())
+                read = read_source(options)
+                assert isinstance(read, ReadPhoto)
+                if read.matched is not None:
+                    photo = replace(photo, film_parallax=film_parallax([read]))
+                    read = replace(read, options=replace(read.options, film_parallax=photo.film_parallax))
+                first = build_scene(options, read, self._render, self._look, self._panel, self._device, Stopwatch(0.0))
+                rig, how = frame_scene(read_camera(CameraOptions(), self._panel), self._look, first, self._panel)
+        assert first.photo is not None
+        if first.photo.options.depth in (AUTO, FLAT):  # also where no object is cut out
+            photo = replace(photo, depth=first.photo.options.depth)
+        if first.photo.placed is not None:
+            photo = replace(photo, fit=first.photo.placed.fit, fov=first.photo.options.fov)
+        self.rig, self.drawn_as, self._is_whole = rig, first.render, first.photo.is_whole
+        self._render = replace(self._render, background=first.render.background)
+        self._photo = photo if photo.stereo_in else replace(photo, stereo_in="none")
+        framing = "framing: all pictures as the first"
+        self.messages = [self._renamed(line, path) for line in [*lines, *messages, *first.messages, *how, framing]]
+
+    def _kind_of(self, path: Path, picture: Picture) -> tuple[PhotoOptions, list[str]]:
+        """Return the options with what a picture in a file is: a pair, or a photo with its depth map beside it."""
+        photo, pair = replace(self._photo, is_in_row=True), self._source.pair
+        if photo.depth is None and photo.rgbd is None and is_rgbd_name(path):
+            side = depth_side(picture.pixels, is_named=True)
+            if side is not None:
+                return replace(photo, rgbd=side), [f"depth: the {side} half of each picture (assumed; --rgbd)"]
+        if pair is None or photo.stereo_in is not None or has_other_way(photo) or not can_match():
+            pair = layout_of_film(path, photo)
+        if pair is None:
+            return photo, []
+        is_said = photo.stereo_in is not None
+        photo = replace(photo, stereo_in=cast(StereoInput, pair.kind), swap_eyes=pair.is_swapped)
+        return photo, [] if is_said else [f"stereo: two eyes' pictures by {pair.source} (else: --stereo-in none)"]
+
+    def _renamed(self, words: str, path: Path) -> str:
+        return words.replace(f"{path}: ", "").replace(str(path), self._source.name)

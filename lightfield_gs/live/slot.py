@@ -1,0 +1,42 @@
+"""What one thread hands to the next: the newest alone, so that nothing queues."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Generic, TypeVar
+
+_T = TypeVar("_T")
+_LONGEST_WAIT_S = 0.5  # after which Ctrl-C is heeded on any system
+
+
+class Slot(Generic[_T]):
+    """A place for one thing between two threads. A newer one takes the place of one that nobody has taken."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._item: _T | None = None
+        self._is_closed = False
+
+    def put(self, item: _T) -> None:
+        """Leave a thing for the next thread."""
+        with self._changed:
+            self._item = item
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Tell the next thread that nothing more comes."""
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify()
+
+    def __iter__(self) -> Iterator[_T]:
+        """Yield each thing as soon as it is there, until the slot is closed and empty."""
+        while True:
+            with self._changed:
+                while self._item is None and not self._is_closed:
+                    self._changed.wait(_LONGEST_WAIT_S)
+                item, self._item = self._item, None
+            if item is None:
+                return
+            yield item

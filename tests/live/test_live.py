@@ -1,0 +1,233 @@
+"""A live picture from end to end: what is shown, when, and how it ends."""
+
+import http.client
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+import pytest
+import torch
+from command_line import complaint, heed_ctrl_c, run
+from live_sources import Clock, clock, read_clock
+from photo_cases import photo, tiny_net
+from PIL import Image
+
+from lightfield_gs.app.options import FLAT, LookOptions, PhotoOptions, RenderOptions
+from lightfield_gs.base.cli_messages import capturable_streams
+from lightfield_gs.io.images import Picture
+from lightfield_gs.live.detail import Detail
+from lightfield_gs.live.health import Health, Span
+from lightfield_gs.live.outs import PageOut
+from lightfield_gs.live.pipeline import Pipeline
+from lightfield_gs.live.reader import Reader
+from lightfield_gs.live.scenes import LiveScenes
+from lightfield_gs.live.sources import Frame
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.show.page.server import Server
+from lightfield_gs.video.decoding import decode, timeline
+from lightfield_gs.video.rendering import FrameOptions, NativeRenderer
+
+av = pytest.importorskip("av", reason="live sources need the extra `video`")
+PANEL = Panel.load("toy-8v")
+WHITE = FrameOptions()
+
+
+def scenes_of(source, photo_options: PhotoOptions, health: Health, pixels: int = 240 * 120) -> LiveScenes:
+    how = RenderOptions(), LookOptions(), PANEL, "cpu", Detail(30, pixels, False), health
+    return LiveScenes(source, photo_options, *how)
+
+
+@contextmanager
+def shown(source, health: Health, page: PageOut, outs=()) -> Iterator[threading.Event]:
+    """A source whose flat pictures are on a page; yields what is set at its end."""
+    over = threading.Event()
+    with capturable_streams():
+        reader = Reader(source, health.has_taken, print)
+        scenes = scenes_of(source, PhotoOptions(depth=FLAT), health)
+        reader.start()
+        scenes.settle(iter(reader.newest))
+        drawer = NativeRenderer(PANEL, WHITE, False)
+        pipeline = Pipeline(reader, scenes, drawer, [page, *outs], health, over.set)
+        pipeline.start()
+        try:
+            yield over
+        finally:
+            pipeline.stop()
+
+
+def test_latency_is_what_a_clock_in_the_picture_says():
+    source, health = Clock(10, 40), Health()
+    page = PageOut(PANEL, health)
+    server = Server(page.routes())
+    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+    connection = http.client.HTTPConnection(*server.server_address[:2], timeout=30)
+
+    def get(path: str) -> tuple[bytes, http.client.HTTPResponse]:
+        connection.request("GET", path)
+        answer = connection.getresponse()
+        return answer.read(), answer
+
+    seen: list[tuple[int, float]] = []
+    with shown(source, health, page) as over:
+        health.take()
+        version = json.loads(get("/panel.json?after=-1")[0])["version"]
+        while not over.is_set():
+            version = json.loads(get(f"/panel.json?after={version}")[0])["version"]
+            body, answer = get("/panel.png")
+            here = time.monotonic()
+            version = int(answer.headers["X-Version"])
+            seen.append((read_clock(np.asarray(Image.open(io.BytesIO(body))), PANEL), here))
+            if len(seen) >= 8:
+                break
+    server.shutdown()
+    server.server_close()
+    numbers = [number for number, _ in seen]
+    assert numbers == sorted(set(numbers)) and len(numbers) >= 4  # each once, in their order
+    true = median(here - source.taken[number] for number, here in seen)
+    span = health.take()
+    told = median(span.latencies_s)
+    assert abs(true - told) < 0.1, (true, told)
+
+
+def test_a_clock_is_read_back_from_the_panels_picture():
+    """The test's own reader: each number that differs in one bit is told apart."""
+    scenes = scenes_of(Clock(1, 1), PhotoOptions(depth=FLAT), Health())
+    draw = NativeRenderer(PANEL, WHITE, False)
+    numbers = [0, 1, 2, 341, 512, 1023]
+    with capturable_streams(), torch.inference_mode():
+        frames = [Frame(n, 0.0, lambda scaling, n=n: Picture(clock(n))) for n in numbers]
+        scenes.settle(iter(frames[3:4]))
+        drawn = [draw(scene, scenes.rig, 0).numpy() for _, scene in scenes(iter(frames))]
+    assert [read_clock(image, PANEL) for image in drawn] == numbers
+
+
+@pytest.fixture
+def film(tmp_path) -> Path:
+    path = tmp_path / "film.mkv"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=5)
+        stream.height, stream.width, stream.pix_fmt = 40, 80, "bgr0"
+        for number in range(12):
+            frame = clock(number, (40, 80))
+            frame[8 + 2 * number :: 7, number::9] = 200, 30, 90
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode(None))
+    return path
+
+
+def test_a_recording_has_frames_of_video_in_their_time(film, tmp_path, capsys):
+    """`video` draws all frames of the film; `live` records some of them, to the bit, when they were there."""
+    flat = "--depth flat --panel toy-8v"
+    run(capsys, f"video {film} -o {tmp_path}/all.mkv {flat}")
+    said = run(capsys, f"live {film} -o {tmp_path}/live.mkv {flat} --fps 5 --no-open")
+    every = [frame.tobytes() for frame in decode(tmp_path / "all.mkv")]
+    found = [every.index(frame.tobytes()) for frame in decode(tmp_path / "live.mkv")]
+    assert found == sorted(set(found)) and 1 < len(found) <= len(every) == 12
+    times = timeline(tmp_path / "live.mkv").order
+    assert abs(len(times) - (found[-1] - found[0] + 1)) <= 1  # frames that were left out leave their time
+    assert "frames a second shown" in said and f"next: lightfield-gs show {tmp_path}/live.mkv" in said
+
+
+def test_ctrl_c_ends_with_a_whole_recording(film, tmp_path):
+    command = [sys.executable, "-m", "lightfield_gs", "live", str(film), "--loop", "--depth", "flat"]
+    command += ["--panel", "toy-8v", "--no-open", "-o", str(tmp_path / "out.mkv")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c) as process:
+        assert process.stdout is not None
+        next(line for line in process.stdout if "frames a second" in line and not line.startswith("0.0"))
+        os.kill(process.pid, signal.SIGINT)
+        rest = process.stdout.read()
+    assert process.returncode == 0 and "ended" in rest
+    assert len(list(decode(tmp_path / "out.mkv"))) >= 1
+
+
+def test_pictures_without_an_object_are_counted_and_left_out(tmp_path):
+    weights = tmp_path / "tiny.safetensors"
+    tiny_net().save(weights)
+    rgba = photo(96, 128)
+    subject = (255 * (rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:])).astype(np.uint8)
+    nothing = np.full_like(subject, 255)
+    frames = [
+        Frame(n, 0.0, lambda scaling, p=p: Picture(p)) for n, p in enumerate((nothing, subject, nothing, subject))
+    ]
+    health = Health()
+    scenes = scenes_of(Clock(1, 1), PhotoOptions(checkpoint=weights, detail="none"), health)
+    with capturable_streams(), torch.inference_mode():
+        scenes.settle(iter(frames))
+        made = [frame.number for frame, _ in scenes(iter(frames))]
+    assert made == [1, 3]
+    span = health.take()
+    assert list(span.unused.values()) == [2] and "2 not used: " in span.line()
+
+
+def span_of(seconds: float, taken: int, **busy: tuple[float, int]) -> Span:
+    span = Span(seconds=seconds, taken=taken)
+    span.busy_s = {name: each for name, (each, _) in busy.items()}
+    span.done = {name: count for name, (_, count) in busy.items()}
+    return span
+
+
+def test_the_busiest_stage_is_the_bound_or_else_the_source():
+    assert span_of(2, 60, depth=(1.9, 20), encode=(1.0, 20)).bound == "depth"
+    assert span_of(2, 60, depth=(0.9, 60), encode=(1.0, 60)).bound == "source"
+
+
+def test_pictures_become_smaller_until_the_rate_holds_and_never_for_more_than_the_source_has():
+    detail = Detail(30, None, False)
+    detail.size_px = 720, 1280
+    slow = span_of(1, 30, depth=(1.0, 10), encode=(0.2, 10))
+    assert detail.adapt(slow) is None  # the first pictures of a size take longer
+    line = detail.adapt(slow)
+    assert line is not None and "the depth takes 100 ms" in line and "not 1280 x 720" in line
+    assert detail.scaling.most_pixels == pytest.approx(720 * 1280 * 0.3)
+    detail.adapt(slow)
+    assert detail.adapt(span_of(1, 10, depth=(0.9, 10))) is None  # the source gives no more than ten
+    detail.size_px = 90, 160
+    assert "give --fps 10" in (detail.adapt(slow) or "") and detail.adapt(slow) is None  # said once
+    fixed = Detail(30, 1_000_000, False)
+    assert [fixed.adapt(slow) for _ in range(3)] == [None] * 3 and fixed.scaling.most_pixels == 1_000_000
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ("--mask m.png", "--remove-background"),
+        ("--depth map.png", "--depth auto"),
+        ("--intrinsics 1,1,1,1", "--fov"),
+        ("--detail 2 --depth flat", "--detail"),
+        ("-o out.png", ".mkv"),
+        ("-o out.mp4 --codec h264", "h264-rgb"),
+        ("--depth-model X --depth flat", "--depth auto"),
+    ],
+)
+def test_what_a_live_picture_cannot_have_is_refused(film, options, words, capsys):
+    assert words in complaint(capsys, f"live {film} --panel toy-8v --no-open {options}")
+
+
+def resident_mib() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+@pytest.mark.slow
+@pytest.mark.alone
+@pytest.mark.not_sanitized
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
+def test_memory_does_not_grow_in_a_minute():
+    health = Health()
+    page = PageOut(PANEL, health)
+    with shown(Clock(20, 1 << 20), health, page):
+        time.sleep(15)
+        before = resident_mib()
+        time.sleep(45)
+        after = resident_mib()
+    assert health.drawn > 100 and after - before < 20, (before, after)
