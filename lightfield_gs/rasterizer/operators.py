@@ -12,6 +12,7 @@ from typing import Any, NoReturn, get_type_hints
 
 import torch
 from torch import Tensor
+from torch._functorch.autograd_function import enable_single_level_autograd_function
 from torch.autograd import forward_ad
 
 from lightfield_gs.base.arrays import is_eager
@@ -27,7 +28,6 @@ _SCHEMA_TYPES = {
     list[float]: "float[]",
 }
 LIBRARY = torch.library.Library("lightfield_gs", "FRAGMENT")
-_OF_TRANSFORMS = torch._C.DispatchKey.FuncTorchDynamicLayerFrontMode
 
 
 def operator_schema(*arguments: type, outputs: int, defaults: bool = True, omit: tuple[str, ...] = ()) -> str:
@@ -92,40 +92,40 @@ def register_operator(
     def forward(*inputs: Any) -> Any:
         if is_eager(inputs):
             return function(*inputs)
-        with torch._C._AutoDispatchBelowAutograd():
+        # A node turns gradients off, and the transforms around this one may ask for theirs
+        with torch.enable_grad(), forward_ad._set_fwd_grad_enabled(True), torch._C._AutoDispatchBelowAutograd():
             return overload(*inputs)
 
     def differentiate(*arguments: Any) -> Any:
         return node.apply(*arguments, *defaults[len(arguments) :])
 
     def differentiate_in_transforms(*arguments: Any) -> Any:
-        # torch.func excludes its key while it calls an operator's kernels, and a node needs it
-        with torch._C._SetExcludeDispatchKeyGuard(_OF_TRANSFORMS, False):
-            return differentiate(*arguments)
+        # torch.func calls this for one transform after the other. Function.apply would begin again with all of them
+        with enable_single_level_autograd_function():
+            return super(torch.autograd.Function, node).apply(*arguments, *defaults[len(arguments) :])
 
     def call(*arguments: Any) -> Any:
         if not is_eager(arguments):
             return overload(*arguments)
         return differentiate(*arguments) if torch.is_grad_enabled() else function(*arguments)
 
-    vmap = register_batches(name, call, batches)
     members = {
         "forward": forward,
         "setup_context": setup_context,
         "backward": backward,
         "jvp": _refuse_forward_mode,
-        "vmap": vmap,
     }
     node: Any = type(name, (torch.autograd.Function,), {key: staticmethod(member) for key, member in members.items()})
     for device in ("CPU", "CUDA"):
         LIBRARY.impl(name, function, device)
     LIBRARY.impl(name, differentiate_in_transforms, "Autograd")
     torch.library.register_fake(f"lightfield_gs::{name}", fake, lib=LIBRARY)
+    register_batches(name, call, batches)
     return call
 
 
-def register_batches(name: str, call: Callable[..., Any], batches: bool = True) -> Callable[..., tuple[Any, Any]]:
-    """Register how torch.func.vmap calls lightfield_gs::`name`, and return it; see register_operator."""
+def register_batches(name: str, call: Callable[..., Any], batches: bool = True) -> None:
+    """Register how torch.func.vmap calls lightfield_gs::`name`; see register_operator."""
     names = [argument.name for argument in getattr(torch.ops.lightfield_gs, name).default._schema.arguments]
 
     def vmap(info: Any, in_dims: tuple[int | None, ...], *arguments: Any) -> tuple[Any, Any]:
@@ -135,7 +135,6 @@ def register_batches(name: str, call: Callable[..., Any], batches: bool = True) 
         return rule(call, names, info.batch_size, in_dims, arguments)
 
     torch.library.register_vmap(f"lightfield_gs::{name}", vmap, lib=LIBRARY)
-    return vmap
 
 
 def _merged(
