@@ -50,9 +50,8 @@ class Span:
         return name if self.seconds > 0 and busy >= _BUSY * self.seconds else "source"
 
     def mean_s(self, stage: str) -> float | None:
-        """Return the seconds that a stage takes for a picture; None where it made none."""
-        count = self.done.get(stage, 0)
-        return self.busy_s[stage] / count if count else None
+        """Return the seconds that a stage takes for a picture, or took at least; None where it did not work."""
+        return self.busy_s[stage] / max(1, self.done.get(stage, 0)) if stage in self.busy_s else None
 
     def line(self) -> str:
         """Return the health line."""
@@ -73,6 +72,7 @@ class Health:
 
     def __init__(self) -> None:
         self._lock, self._span = threading.Lock(), Span()
+        self._since: dict[str, float] = {}  # when the stages that work began, or were last counted
         self.shown, self.drawn, self.taken = 0, 0, 0
 
     def has_taken(self, frame: Frame) -> None:
@@ -98,22 +98,35 @@ class Health:
         with self._lock:
             self._span.unused[reason] = self._span.unused.get(reason, 0) + 1
 
-    def add_busy(self, stage: str, seconds: float) -> None:
-        """Count the time that a stage took for a picture."""
+    def begin(self, stage: str) -> None:
+        """Count the time of a stage for a picture from now on."""
         with self._lock:
-            self._span.busy_s[stage] = self._span.busy_s.get(stage, 0.0) + seconds
-            self._span.done[stage] = self._span.done.get(stage, 0) + 1
+            self._since.setdefault(stage, time.monotonic())
+
+    def end(self, stage: str) -> None:
+        """Count it no more; nothing happens where it has not begun."""
+        with self._lock:
+            if (since := self._since.pop(stage, None)) is not None:
+                self._add_busy(stage, time.monotonic() - since)
+                self._span.done[stage] = self._span.done.get(stage, 0) + 1
 
     @contextmanager
     def busy(self, stage: str) -> Iterator[None]:
         """Count the time of the block for a stage."""
-        began = time.perf_counter()
+        self.begin(stage)
         yield
-        self.add_busy(stage, time.perf_counter() - began)
+        self.end(stage)
 
     def take(self) -> Span:
-        """Return what happened since the last call."""
+        """Return what happened since the last call, and the part of what is on its way."""
         with self._lock:
-            span, self._span = self._span, Span()
-        span.seconds = self._span.began - span.began
+            now = time.monotonic()
+            for stage, since in self._since.items():
+                self._add_busy(stage, now - since)
+                self._since[stage] = now
+            span, self._span = self._span, Span(now)
+        span.seconds = now - span.began
         return span
+
+    def _add_busy(self, stage: str, seconds: float) -> None:
+        self._span.busy_s[stage] = self._span.busy_s.get(stage, 0.0) + seconds
