@@ -145,6 +145,8 @@ class LiveScenes:
             photo = replace(photo, depth=first.photo.options.depth)
         if first.photo.placed is not None:
             photo = replace(photo, fit=first.photo.placed.fit, fov=first.photo.options.fov)
+        if photo.rgbd is not None or read.matched is not None:
+            self.detail.take_halves(is_nearest=photo.rgbd is not None)
         self.rig, self.drawn_as, self._is_whole = rig, first.render, first.photo.is_whole
         self._render = replace(self._render, background=first.render.background)
         self._photo = photo if photo.stereo_in else replace(photo, stereo_in="none")
