@@ -172,7 +172,7 @@ def test_pictures_without_an_object_are_counted_and_left_out(tmp_path):
 def span_of(seconds: float, taken: int, **busy: tuple[float, int]) -> Span:
     span = Span(seconds=seconds, taken=taken)
     span.busy_s = {name: each for name, (each, _) in busy.items()}
-    span.done = {name: count for name, (_, count) in busy.items()}
+    span.took_s = {name: [each / count] * count for name, (each, count) in busy.items()}
     return span
 
 
