@@ -26,9 +26,10 @@ def check_group() -> None:
 
 def gather_from_all(tensor: Tensor) -> Tensor:
     """Return the tensors [C, ...] of all processes, one after the other in the order of ranks; no gradients."""
-    every = tensor.new_empty(dist.get_world_size() * tensor.shape[0], *tensor.shape[1:])
-    dist.all_gather_into_tensor(every, tensor.detach().contiguous())
-    return every
+    own = tensor.detach().contiguous()
+    every = [torch.empty_like(own) for _ in range(dist.get_world_size())]
+    dist.all_gather(every, own)
+    return torch.cat(every)
 
 
 def check_same(facts: dict[str, int], device: torch.device) -> None:

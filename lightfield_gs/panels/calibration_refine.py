@@ -58,7 +58,7 @@ class RefinedFit:
 
 
 def refine_lens(viewpoints: Sequence[Viewpoint], start: Panel, fit: CalibrationFit) -> RefinedFit:
-    """Refine the lens that fit_lens found in the same photographs. It takes a second for a million sub-pixels or more.
+    """Refine the lens that fit_lens found in the same photographs. It takes about a minute for a million pixels.
 
     Args:
         viewpoints: See fit_lens.

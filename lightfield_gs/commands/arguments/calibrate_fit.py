@@ -78,7 +78,7 @@ def add_arguments(parser: Parser) -> None:
         action="store_true",
         short="compare every sub-pixel, in a minute or more",
         help="refine the lens by what a camera should see of every sub-pixel; for lenses in a simple ratio to the "
-        "sub-pixels (a slant of 1/3, 1/4 or 0), whose bars move in steps; some 10 seconds for a million pixels",
+        "sub-pixels (a slant of 1/3, 1/4 or 0), whose bars move in steps; about a minute for a million pixels",
     )
     add(
         "-o",
