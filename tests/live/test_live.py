@@ -11,12 +11,14 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 import pytest
 import torch
+from chromium import Browser
 from command_line import complaint, heed_ctrl_c, run
 from live_sources import Clock, clock, read_clock
 from photo_cases import photo, tiny_net
@@ -24,6 +26,7 @@ from PIL import Image
 
 from lightfield_gs.app.options import FLAT, LookOptions, PhotoOptions, RenderOptions
 from lightfield_gs.base.cli_messages import capturable_streams
+from lightfield_gs.cli import main
 from lightfield_gs.io.images import Picture
 from lightfield_gs.live.detail import Detail
 from lightfield_gs.live.health import Health, Span
@@ -216,6 +219,38 @@ def test_pictures_become_smaller_until_the_rate_holds_and_never_for_more_than_th
 )
 def test_what_a_live_picture_cannot_have_is_refused(film, options, words, capsys):
     assert words in complaint(capsys, f"live {film} --panel toy-8v --no-open {options}")
+
+
+def test_a_film_without_an_object_is_refused_with_the_ways_that_a_live_picture_has(film, capsys, monkeypatch):
+    monkeypatch.setattr("lightfield_gs.photo.depth_network.is_installed", lambda: False)
+    assert main(f"live {film} --panel toy-8v --no-open".split()) == 2
+    said = capsys.readouterr().err
+    assert f"error: {film} has no cut-out" in said and "--depth auto" in said and "--remove-background" in said
+    assert "FILE" not in said and "partial" not in said
+
+
+@pytest.mark.slow
+def test_the_page_follows_pixel_for_pixel(tmp_path):
+    health = Health()
+    panel = replace(PANEL, width_px=640, height_px=480)
+    page, random = PageOut(panel, health), np.random.default_rng(0)
+    server = Server(page.routes())
+    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+    browser = Browser(tmp_path, 640, 480)
+    try:
+        size = dict(width=640, height=480, screenWidth=640, screenHeight=480)
+        browser.call("Emulation.setDeviceMetricsOverride", deviceScaleFactor=1, mobile=False, **size)
+        browser.open(server.url + "/")
+        for number in (1, 2, 3):
+            pixels = random.integers(0, 256, (480, 640, 3), np.uint8)
+            page.put(Frame(number, time.monotonic(), lambda scaling, p=pixels: Picture(p)), pixels)
+            browser.wait(f"document.body?.dataset.version === '{number}'")
+            np.testing.assert_array_equal(browser.screenshot(), pixels)
+    finally:
+        browser.close()
+        server.shutdown()
+        server.server_close()
+    assert health.take().shown == 3
 
 
 def resident_mib() -> float:
