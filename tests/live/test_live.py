@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -114,18 +114,23 @@ def test_a_clock_is_read_back_from_the_panels_picture():
     assert [read_clock(image, PANEL) for image in drawn] == numbers
 
 
-@pytest.fixture
-def film(tmp_path) -> Path:
-    path = tmp_path / "film.mkv"
+def write_film(path: Path, frames: Iterable[np.ndarray]) -> Path:
+    """Write frames uint8 [40, 80, 3], five a second, without loss."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("ffv1", rate=5)
         stream.height, stream.width, stream.pix_fmt = 40, 80, "bgr0"
-        for number in range(12):
-            frame = clock(number, (40, 80))
-            frame[8 + 2 * number :: 7, number::9] = 200, 30, 90
+        for frame in frames:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
         container.mux(stream.encode(None))
     return path
+
+
+@pytest.fixture
+def film(tmp_path) -> Path:
+    frames = [clock(number, (40, 80)) for number in range(12)]
+    for number, frame in enumerate(frames):
+        frame[8 + 2 * number :: 7, number::9] = 200, 30, 90
+    return write_film(tmp_path / "film.mkv", frames)
 
 
 def test_a_recording_has_frames_of_video_in_their_time(film, tmp_path, capsys):
@@ -179,6 +184,13 @@ def span_of(seconds: float, taken: int, **busy: tuple[float, int]) -> Span:
     return span
 
 
+def test_a_picture_on_a_page_and_in_a_recording_counts_once():
+    health = Health()
+    for number in (0, 0, 1, 0, 2):
+        health.has_sent(Frame(number, time.monotonic(), lambda scaling: Picture(clock(0))))
+    assert health.take().shown == health.shown == 3
+
+
 def test_the_busiest_stage_is_the_bound_or_else_the_source():
     assert span_of(2, 60, depth=(1.9, 20), encode=(1.0, 20)).bound == "depth"
     assert span_of(2, 60, depth=(0.9, 60), encode=(1.0, 60)).bound == "source"
@@ -221,7 +233,9 @@ def test_what_a_live_picture_cannot_have_is_refused(film, options, words, capsys
     assert words in complaint(capsys, f"live {film} --panel toy-8v --no-open {options}")
 
 
-def test_a_film_without_an_object_is_refused_with_the_ways_that_a_live_picture_has(film, capsys, monkeypatch):
+def test_a_film_without_an_object_is_refused_with_the_ways_that_a_live_picture_has(tmp_path, capsys, monkeypatch):
+    random = np.random.default_rng(0)
+    film = write_film(tmp_path / "noise.mkv", random.integers(0, 256, (20, 40, 80, 3), np.uint8))
     monkeypatch.setattr("lightfield_gs.photo.depth_network.is_installed", lambda: False)
     assert main(f"live {film} --panel toy-8v --no-open".split()) == 2
     said = capsys.readouterr().err
