@@ -89,7 +89,7 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     source = open_source(options.source, float(fps), options.loop)
     panel = load_panel(options.panel)
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
-    health, detail = Health(), Detail(float(fps), options.pixels, options.photo.rgbd is not None)
+    health, detail = Health(), Detail(float(fps), options.pixels)
     page = PageOut(panel, health)
     outs: list[Out] = [page]
     recording = None

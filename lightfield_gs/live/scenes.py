@@ -93,29 +93,29 @@ class LiveScenes:
 
     def __call__(self, frames: Iterator[Frame]) -> Iterator[tuple[Frame, Gaussians]]:
         """Yield the scene of each picture, with depths that are averaged with those before it, up to a cut."""
-        taken: dict[int, tuple[Frame, float]] = {}
+        taken: dict[int, Frame] = {}
 
         def photos() -> Iterator[tuple[int, ReadPhoto]]:
             for frame in frames:
-                began = time.perf_counter()
+                self._health.begin(self.stage)
                 try:
                     with capture([]):
                         read = read_frame(self._name, self._picture(frame), self._photo)
                 except InputError as error:
                     reason = error.reason if isinstance(error, NoCutOut) else str(error)
                     self._health.could_not_use(self._renamed(reason, self._name))
+                    self._health.end(self.stage)
                     continue
-                taken[frame.number] = frame, began
+                taken[frame.number] = frame
                 yield frame.number, read
 
         options = SceneOptions(self._name, photo=self._photo)
         for number, photo in steady_photos(photos(), self._photo, self._device, ahead=0):
-            frame, began = taken.pop(number)
             with capture([]):
                 how = options, photo, self._render, self._look, self._panel, self._device
                 scene = build_scene(*how, Stopwatch(0.0)).gaussians
-            self._health.add_busy(self.stage, time.perf_counter() - began)
-            yield frame, scene
+            self._health.end(self.stage)
+            yield taken.pop(number), scene
 
     def _picture(self, frame: Frame) -> Picture:
         picture = frame.picture(self.detail.scaling)
@@ -145,6 +145,8 @@ class LiveScenes:
             photo = replace(photo, depth=first.photo.options.depth)
         if first.photo.placed is not None:
             photo = replace(photo, fit=first.photo.placed.fit, fov=first.photo.options.fov)
+        if photo.rgbd is not None or read.matched is not None:
+            self.detail.take_halves(is_nearest=photo.rgbd is not None)
         self.rig, self.drawn_as, self._is_whole = rig, first.render, first.photo.is_whole
         self._render = replace(self._render, background=first.render.background)
         self._photo = photo if photo.stereo_in else replace(photo, stereo_in="none")
@@ -153,7 +155,7 @@ class LiveScenes:
 
     def _kind_of(self, path: Path, picture: Picture) -> tuple[PhotoOptions, list[str]]:
         """Return the options with what a picture in a file is: a pair, or a photo with its depth map beside it."""
-        photo, pair = replace(self._photo, is_in_row=True), self._source.pair
+        photo, pair = replace(self._photo, is_in_row=True, is_smooth=True), self._source.pair
         if photo.depth is None and photo.rgbd is None and is_rgbd_name(path):
             side = depth_side(picture.pixels, is_named=True)
             if side is not None:

@@ -43,7 +43,7 @@ WHITE = FrameOptions()
 
 
 def scenes_of(source, photo_options: PhotoOptions, health: Health, pixels: int = 240 * 120) -> LiveScenes:
-    how = RenderOptions(), LookOptions(), PANEL, "cpu", Detail(30, pixels, False), health
+    how = RenderOptions(), LookOptions(), PANEL, "cpu", Detail(30, pixels), health
     return LiveScenes(source, photo_options, *how)
 
 
@@ -172,7 +172,7 @@ def test_pictures_without_an_object_are_counted_and_left_out(tmp_path):
 def span_of(seconds: float, taken: int, **busy: tuple[float, int]) -> Span:
     span = Span(seconds=seconds, taken=taken)
     span.busy_s = {name: each for name, (each, _) in busy.items()}
-    span.done = {name: count for name, (_, count) in busy.items()}
+    span.took_s = {name: [each / count] * count for name, (each, count) in busy.items()}
     return span
 
 
@@ -182,18 +182,23 @@ def test_the_busiest_stage_is_the_bound_or_else_the_source():
 
 
 def test_pictures_become_smaller_until_the_rate_holds_and_never_for_more_than_the_source_has():
-    detail = Detail(30, None, False)
+    detail = Detail(30, None)
     detail.size_px = 720, 1280
     slow = span_of(1, 30, depth=(1.0, 10), encode=(0.2, 10))
     assert detail.adapt(slow) is None  # the first pictures of a size take longer
     line = detail.adapt(slow)
     assert line is not None and "the depth takes 100 ms" in line and "not 1280 x 720" in line
     assert detail.scaling.most_pixels == pytest.approx(720 * 1280 * 0.3)
-    detail.adapt(slow)
+    assert detail.adapt(slow) is None
     assert detail.adapt(span_of(1, 10, depth=(0.9, 10))) is None  # the source gives no more than ten
-    detail.size_px = 90, 160
-    assert "give --fps 10" in (detail.adapt(slow) or "") and detail.adapt(slow) is None  # said once
-    fixed = Detail(30, 1_000_000, False)
+    detail.size_px = 180, 320
+    better = span_of(1, 30, depth=(0.8, 10))
+    assert "give --fps 12" in (detail.adapt(better) or "") and detail.adapt(better) is None  # said once
+    in_vain = Detail(30, None)
+    in_vain.size_px = 720, 1280
+    said = [in_vain.adapt(span_of(1, 30, encode=(0.98, 5))) for _ in range(5)]
+    assert "do not help" in (said[3] or "") and said[4] is None and in_vain.scaling == Detail(30, None).scaling
+    fixed = Detail(30, 1_000_000)
     assert [fixed.adapt(slow) for _ in range(3)] == [None] * 3 and fixed.scaling.most_pixels == 1_000_000
 
 
