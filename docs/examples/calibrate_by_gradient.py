@@ -17,7 +17,7 @@ true = replace(panel, **{name: getattr(panel, name) + error for name, error in t
 options = {"views": "continuous", "output": "float32"}  # integer views jump, and have no gradients
 wanted = lf.encode(scene, true, rig, **options)
 
-optics = lf.Optics.of(panel, names=tolerances)
+optics = lf.Optics.of(panel, names=list(tolerances))
 groups = [{"params": [value], "lr": tolerances[name] / 20} for name, value in optics.given().items()]
 optimizer, images = torch.optim.Adam(groups), []
 for _ in range(100):

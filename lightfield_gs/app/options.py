@@ -127,6 +127,7 @@ class PhotoOptions:
         film_parallax: x_left - x_right of the farthest and the nearest things of a film of pairs, by the width. Frames
             whose pictures do not match are then flat. None: each picture has ends of its own.
         is_in_row: whether pictures that follow are fitted as this one: about their middle, not about its subject.
+        is_smooth: whether what the photo does not show gets smooth colours in little time, in place of texture.
     """
 
     mask: Path | None = None
@@ -152,6 +153,7 @@ class PhotoOptions:
     pair: PairLayout | None = None
     film_parallax: tuple[float, float] | None = None
     is_in_row: bool = False
+    is_smooth: bool = False
 
     @property
     def is_estimated(self) -> bool:

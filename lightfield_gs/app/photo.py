@@ -394,9 +394,12 @@ def _scene_of_whole(
         focal, centre = known = ((known[0][0] * across, known[0][1] * down), (known[1][0] * across, known[1][1] * down))
     placed, words = _place(options, panel, look, image, torch.from_numpy(depth.z), *known)
     margin = (0, 0, 0, 0) if placed is None else placed.margin_px
-    blur = placed is not None and placed.fit == "contain"
-    kind: Margin = "blur" if blur else "texture"
-    gaussians = from_depth(image, depth.z, focal, centre, margin_px=margin, margin=kind, second=source.second)
+    is_blurred = options.is_smooth or (placed is not None and placed.fit == "contain")
+    kind: Margin = "blur" if is_blurred else "texture"
+    how = focal, centre
+    gaussians = from_depth(
+        image, depth.z, *how, margin_px=margin, margin=kind, second=source.second, texture=not options.is_smooth
+    )
     watch.lap("depth")
     _say(source, [depth.description, camera, *words], source.notes + depth.notes + notes)
     return gaussians, PhotoPlacement(options, is_whole=True, placed=placed)

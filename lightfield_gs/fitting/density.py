@@ -17,7 +17,7 @@ from lightfield_gs.base.harmonics import rotations
 from lightfield_gs.fitting.optimizer import MOST_LOGIT, GaussianState
 from lightfield_gs.fitting.posed_images import PosedImages
 from lightfield_gs.fitting.random import Purpose, normals, uniforms
-from lightfield_gs.fitting.settings import FitSettings
+from lightfield_gs.fitting.settings import PRUNE_START_ITER, FitSettings
 
 _MOST_COPIES = 51  # the largest ratio of compute_relocation, as in the paper's program
 _WEIGHT_STEPS = 2**31  # weights become whole numbers, whose sums are the same in any order
@@ -219,7 +219,8 @@ def refine_adaptive(
     """
     largest, gradients = state.scales.amax(1), statistics.gradients / statistics.drawn.clamp_min(1)
     small = largest <= settings.grow_scale3d
-    most = settings.prune_scale3d if step > settings.scaled(settings.prune_start_iter) else math.inf
+    prunes = settings.prune_scale3d is not None and step > settings.scaled(PRUNE_START_ITER)
+    most = settings.prune_scale3d if prunes else math.inf
     alive = state.opacities >= settings.min_opacity
     fits_whole, fits_split = alive & (largest <= most), alive & ~small & (largest / _SHRINK <= most)
     wanting = (gradients >= _grow_threshold(settings)) & torch.where(small, fits_whole, fits_split)

@@ -12,6 +12,7 @@ from lightfield_gs.base.options import DENSITIES, LOSSES, MASKS, Density, LossNa
 
 RECIPE_STEPS = 30_000  # of the published recipes; shorter and longer fits scale their schedules
 _MOST_STEPS = 10_000_000
+PRUNE_START_ITER = 3000  # before, a huge Gaussian may only be there for want of smaller ones
 _RECOVERY = 1000  # recipe steps that opacities need after a reset
 FORMER_NAMES = {  # of settings in checkpoints of earlier versions
     "gaussians": "cap_max",
@@ -137,8 +138,8 @@ class FitSettings:
     absgrad: bool = _flag(False)
     grow_grad2d: float | None = _real(None)  # in halves of the image; None: 2e-4, or 6e-4 with absgrad
     grow_scale3d: float = _real(0.01)  # in extents; smaller Gaussians are cloned, larger ones are split
-    prune_scale3d: float = _real(0.1)  # in extents; larger ones are removed after prune_start_iter
-    prune_start_iter: int = _whole(3000)  # before, a huge Gaussian may only be there for want of smaller ones
+    # In extents; larger ones are removed after PRUNE_START_ITER, none if None: see docs/benchmarks.md
+    prune_scale3d: float | None = _real(None)
     reset_every: int = _whole(0)  # steps between resets of opacities; 0: none, see docs/benchmarks.md
     # steps between sorts of the Gaussians along a Morton curve, while the density changes
     morton_every: int = _whole(5000)

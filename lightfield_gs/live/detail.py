@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from lightfield_gs.live.health import Span
 from lightfield_gs.video.decoding import Scaling
 
 MOST_PIXELS = 1_500_000  # as of a photo: a view of a panel has fewer
-LEAST_PIXELS = 160 * 90
+LEAST_PIXELS = 320 * 180  # less is a blur on any panel
 _SLOW = 1.1  # of the time for a frame, from which on a stage is too slow
+_HELPS = 0.9  # of the time before, above which smaller pictures were of no use
 _AIM, _STEP = 0.9, 0.25  # of the time that is aimed at, and the most that one step leaves of the pixels
 STAGES = ("network", "depth", "encode")  # which take less time for fewer pixels
 
@@ -18,13 +21,19 @@ class Detail:
     Args:
         fps: The frames a second to hold.
         pixels: Of a picture. None: as many as hold the rate.
-        is_nearest: See Scaling.
     """
 
-    def __init__(self, fps: float, pixels: int | None, is_nearest: bool):
+    def __init__(self, fps: float, pixels: int | None):
+        self._least = LEAST_PIXELS
         self._fps, self._is_fixed, self._is_said, self._is_new = fps, pixels is not None, False, True
-        self.scaling = Scaling(pixels or MOST_PIXELS, is_nearest)
+        self.scaling = Scaling(pixels or MOST_PIXELS)
+        self._slow: tuple[str, float, int] | None = None  # what was too slow before, its seconds, and the pixels then
         self.size_px: tuple[int, int] = (0, 0)  # height and width of the last picture
+
+    def take_halves(self, is_nearest: bool) -> None:
+        """Note that a picture holds two side by side; is_nearest: that one has depths, see Scaling."""
+        self._least = 2 * LEAST_PIXELS
+        self.scaling = replace(self.scaling, is_nearest=is_nearest)
 
     def adapt(self, span: Span) -> str | None:
         """Take smaller pictures where a stage was too slow, and return a line on it.
@@ -41,14 +50,19 @@ class Detail:
         wanted = 1 / min(self._fps, max(1.0, span.taken / span.seconds))
         if times[stage] <= _SLOW * wanted:
             return None
+        slow, self._slow = self._slow, (stage, times[stage], self.scaling.most_pixels)
         words = f"the {stage} takes {1000 * times[stage]:.0f} ms for a frame, and {1 / wanted:.3g} a second are wanted"
+        if slow is not None and stage == slow[0] and times[stage] > _HELPS * slow[1]:
+            self._is_said, self.scaling = True, replace(self.scaling, most_pixels=slow[2])
+            less = "--quality fast and --device draw faster" if stage == "encode" else "--device is another"
+            return f"{words}: smaller pictures do not help, and are taken as large as before; {less}"
         height, width = self.size_px
         now = min(self.scaling.most_pixels, height * width)
-        if now <= LEAST_PIXELS:
+        if now <= self._least:
             self._is_said = True
             slower = f"give --fps {1 / times[stage]:.2g}"
             return f"{words}: the pictures are as small as they get ({width} x {height}); {slower}"
-        fewer = max(LEAST_PIXELS, int(now * max(_STEP, _AIM * wanted / times[stage])))
-        self.scaling, self._is_new = Scaling(fewer, self.scaling.is_nearest), True
+        fewer = max(self._least, int(now * max(_STEP, _AIM * wanted / times[stage])))
+        self.scaling, self._is_new = replace(self.scaling, most_pixels=fewer), True
         after = self.scaling.size(height, width)
         return f"{words}: pictures are taken at {after[1]} x {after[0]}, not {width} x {height} (--pixels keeps a size)"

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from statistics import median
+from statistics import mean, median
 
 from lightfield_gs.live.sources import Frame
 
@@ -25,7 +25,7 @@ class Span:
         drawn: Pictures of the panel that were made.
         latencies_s: From taken to sent, of each picture that was sent.
         busy_s: Of each stage.
-        done: How many pictures each stage made.
+        took_s: How long each stage took for each picture that it finished.
         unused: Reasons why pictures could not be used, and of how many.
     """
 
@@ -35,7 +35,7 @@ class Span:
     drawn: int = 0
     latencies_s: list[float] = field(default_factory=list)
     busy_s: dict[str, float] = field(default_factory=dict)
-    done: dict[str, int] = field(default_factory=dict)
+    took_s: dict[str, list[float]] = field(default_factory=dict)
     unused: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -50,9 +50,9 @@ class Span:
         return name if self.seconds > 0 and busy >= _BUSY * self.seconds else "source"
 
     def mean_s(self, stage: str) -> float | None:
-        """Return the seconds that a stage takes for a picture; None where it made none."""
-        count = self.done.get(stage, 0)
-        return self.busy_s[stage] / count if count else None
+        """Return the seconds that a stage takes for a picture; None where it finished none."""
+        took = self.took_s.get(stage)
+        return mean(took) if took else None
 
     def line(self) -> str:
         """Return the health line."""
@@ -73,7 +73,8 @@ class Health:
 
     def __init__(self) -> None:
         self._lock, self._span = threading.Lock(), Span()
-        self.shown, self.drawn, self.taken = 0, 0, 0
+        self._since: dict[str, list[float]] = {}  # when stages that work began, and up to when that is counted
+        self.shown, self.drawn, self.taken, self._last_sent = 0, 0, 0, -1
 
     def has_taken(self, frame: Frame) -> None:
         """Count a picture of the source."""
@@ -88,8 +89,11 @@ class Health:
             self.drawn += 1
 
     def has_sent(self, frame: Frame) -> None:
-        """Count a picture whose last byte is on its way, or in the hands of the recorder."""
+        """Count a picture whose last byte is on its way, or in the hands of the recorder; the first of these."""
         with self._lock:
+            if frame.number <= self._last_sent:
+                return
+            self._last_sent = frame.number
             self._span.latencies_s.append(time.monotonic() - frame.taken)
             self.shown += 1
 
@@ -98,22 +102,38 @@ class Health:
         with self._lock:
             self._span.unused[reason] = self._span.unused.get(reason, 0) + 1
 
-    def add_busy(self, stage: str, seconds: float) -> None:
-        """Count the time that a stage took for a picture."""
+    def begin(self, stage: str) -> None:
+        """Count the time of a stage for a picture from now on."""
         with self._lock:
-            self._span.busy_s[stage] = self._span.busy_s.get(stage, 0.0) + seconds
-            self._span.done[stage] = self._span.done.get(stage, 0) + 1
+            now = time.monotonic()
+            self._since.setdefault(stage, [now, now])
+
+    def end(self, stage: str) -> None:
+        """Count it no more; nothing happens where it has not begun."""
+        with self._lock:
+            if (since := self._since.pop(stage, None)) is not None:
+                began, counted = since
+                now = time.monotonic()
+                self._add_busy(stage, now - counted)
+                self._span.took_s.setdefault(stage, []).append(now - began)
 
     @contextmanager
     def busy(self, stage: str) -> Iterator[None]:
         """Count the time of the block for a stage."""
-        began = time.perf_counter()
+        self.begin(stage)
         yield
-        self.add_busy(stage, time.perf_counter() - began)
+        self.end(stage)
 
     def take(self) -> Span:
-        """Return what happened since the last call."""
+        """Return what happened since the last call, and the part of what is on its way."""
         with self._lock:
-            span, self._span = self._span, Span()
-        span.seconds = self._span.began - span.began
+            now = time.monotonic()
+            for stage, since in self._since.items():
+                self._add_busy(stage, now - since[1])
+                since[1] = now
+            span, self._span = self._span, Span(now)
+        span.seconds = now - span.began
         return span
+
+    def _add_busy(self, stage: str, seconds: float) -> None:
+        self._span.busy_s[stage] = self._span.busy_s.get(stage, 0.0) + seconds

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from fractions import Fraction
 from pathlib import Path
@@ -36,7 +35,6 @@ class PageOut:
         self._panel, self._health, self._changed = panel, health, threading.Condition()
         self._version, self._pixels = 0, np.zeros((panel.height_px, panel.width_px, 3), np.uint8)
         self._frames: deque[tuple[int, Frame]] = deque(maxlen=_REMEMBERED)
-        self._counted, self._handed_at = 0, 0.0
 
     def put(self, frame: Frame, pixels: np.ndarray) -> None:
         """See Out."""
@@ -58,20 +56,18 @@ class PageOut:
     def _wait_for(self, after: int) -> int:
         """Return the version once it differs. The page asks again as soon as it shows one: until then it is busy."""
         with self._changed:
-            if after >= 0 and self._handed_at:
-                self._health.add_busy("page", time.perf_counter() - self._handed_at)
+            if after >= 0:
+                self._health.end("page")
             self._changed.wait_for(lambda: self._version != after, WAIT_S)
             if after >= 0:
-                self._handed_at = time.perf_counter()
+                self._health.begin("page")
             return self._version
 
     def _sent(self, version: int) -> None:
         with self._changed:
-            frame = next((frame for number, frame in self._frames if number == version), None)
-            if frame is None or version <= self._counted:  # another page had it before
-                return
-            self._counted = version
-        self._health.has_sent(frame)
+            sent = [frame for number, frame in self._frames if number == version]
+        for frame in sent:  # one, or none of a picture that a slow page had long ago
+            self._health.has_sent(frame)
 
 
 class Recording:

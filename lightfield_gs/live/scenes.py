@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -35,6 +36,10 @@ from lightfield_gs.photo.stereo_pair import can_match
 from lightfield_gs.scene.gaussians import Gaussians
 
 _PATIENCE_S = 3.0  # with pictures of which no scene can be made, at the beginning: cameras begin dark
+
+
+class _NotYetError(InputError):
+    """No scene can be made of a picture, and of a later one perhaps."""
 
 
 class LiveScenes:
@@ -86,36 +91,36 @@ class LiveScenes:
             try:
                 self._settle_by(self._picture(frame))
                 return
-            except (NoCutOut, PairMismatch):
+            except _NotYetError:
                 if time.monotonic() > until:
                     raise
         raise InputError(f"{self._source.name}: it ended before a picture came of which a scene can be made")
 
     def __call__(self, frames: Iterator[Frame]) -> Iterator[tuple[Frame, Gaussians]]:
         """Yield the scene of each picture, with depths that are averaged with those before it, up to a cut."""
-        taken: dict[int, tuple[Frame, float]] = {}
+        taken: dict[int, Frame] = {}
 
         def photos() -> Iterator[tuple[int, ReadPhoto]]:
             for frame in frames:
-                began = time.perf_counter()
+                self._health.begin(self.stage)
                 try:
                     with capture([]):
                         read = read_frame(self._name, self._picture(frame), self._photo)
                 except InputError as error:
                     reason = error.reason if isinstance(error, NoCutOut) else str(error)
                     self._health.could_not_use(self._renamed(reason, self._name))
+                    self._health.end(self.stage)
                     continue
-                taken[frame.number] = frame, began
+                taken[frame.number] = frame
                 yield frame.number, read
 
         options = SceneOptions(self._name, photo=self._photo)
         for number, photo in steady_photos(photos(), self._photo, self._device, ahead=0):
-            frame, began = taken.pop(number)
             with capture([]):
                 how = options, photo, self._render, self._look, self._panel, self._device
                 scene = build_scene(*how, Stopwatch(0.0)).gaussians
-            self._health.add_busy(self.stage, time.perf_counter() - began)
-            yield frame, scene
+            self._health.end(self.stage)
+            yield taken.pop(number), scene
 
     def _picture(self, frame: Frame) -> Picture:
         picture = frame.picture(self.detail.scaling)
@@ -129,7 +134,7 @@ class LiveScenes:
             kind = ".exr" if picture.pixels.dtype == np.float32 else ".png"
             path = folder / (re.sub(r"[^\w-]+", "_", self._name.stem)[-60:] + kind)
             write_image(path, picture.pixels)
-            with capture(lines):
+            with self._naming(path), capture(lines):
                 photo, messages = self._kind_of(path, picture)
                 options = SceneOptions(path, photo=photo)
                 check_scene_options(options, CameraOptions())
@@ -145,6 +150,8 @@ class LiveScenes:
             photo = replace(photo, depth=first.photo.options.depth)
         if first.photo.placed is not None:
             photo = replace(photo, fit=first.photo.placed.fit, fov=first.photo.options.fov)
+        if photo.rgbd is not None or read.matched is not None:
+            self.detail.take_halves(is_nearest=photo.rgbd is not None)
         self.rig, self.drawn_as, self._is_whole = rig, first.render, first.photo.is_whole
         self._render = replace(self._render, background=first.render.background)
         self._photo = photo if photo.stereo_in else replace(photo, stereo_in="none")
@@ -153,7 +160,7 @@ class LiveScenes:
 
     def _kind_of(self, path: Path, picture: Picture) -> tuple[PhotoOptions, list[str]]:
         """Return the options with what a picture in a file is: a pair, or a photo with its depth map beside it."""
-        photo, pair = replace(self._photo, is_in_row=True), self._source.pair
+        photo, pair = replace(self._photo, is_in_row=True, is_smooth=True), self._source.pair
         if photo.depth is None and photo.rgbd is None and is_rgbd_name(path):
             side = depth_side(picture.pixels, is_named=True)
             if side is not None:
@@ -165,6 +172,21 @@ class LiveScenes:
         is_said = photo.stereo_in is not None
         photo = replace(photo, stereo_in=cast(StereoInput, pair.kind), swap_eyes=pair.is_swapped)
         return photo, [] if is_said else [f"stereo: two eyes' pictures by {pair.source} (else: --stereo-in none)"]
+
+    @contextmanager
+    def _naming(self, path: Path) -> Iterator[None]:
+        """Name the source, not a file, in errors; raise _NotYetError where another picture may do."""
+        try:
+            yield
+        except NoCutOut as error:
+            raise _NotYetError(
+                f"{self._renamed(error.reason, path)}; give --depth auto for the whole picture in depth, or "
+                "--remove-background for who is before the camera; both take pip install 'lightfield-gs[photo]'"
+            ) from None
+        except PairMismatch as error:
+            raise _NotYetError(self._renamed(str(error), path)) from None
+        except InputError as error:
+            raise InputError(self._renamed(str(error), path)) from None
 
     def _renamed(self, words: str, path: Path) -> str:
         return words.replace(f"{path}: ", "").replace(str(path), self._source.name)

@@ -22,6 +22,7 @@ from lightfield_gs.io.images import Picture, read_picture
 from lightfield_gs.io.stereo_names import PairLayout
 from lightfield_gs.live.cameras import Device, find_camera, find_screen
 from lightfield_gs.video.decoding import (
+    PixelKind,
     Scaling,
     av_library,
     frame_pixels,
@@ -45,7 +46,7 @@ class Frame:
 
     Attributes:
         number: How many came before it.
-        taken: When it reached the program, seconds of time.monotonic; of a folder, when its file was written.
+        taken: When it reached the program, seconds of time.monotonic; of a folder, when its file was written since.
         picture: Returns its pixels, reduced as it is told.
     """
 
@@ -134,7 +135,7 @@ class _Decoded:
         is_timed: bool,
         crop: tuple[int, int, int, int] | None = None,
     ) -> Iterator[Frame]:
-        clock = _Clock()
+        clock, kind = _Clock(), PixelKind.of(stream)
         if not is_timed:
             stream.thread_type = "SLICE"  # threads of whole frames would each hold one back
         for frame in _patient(container, stream, stop):
@@ -144,7 +145,7 @@ class _Decoded:
                 clock.wait(frame.time, stop)
             if stop.is_set():
                 return
-            yield Frame(self._count, time.monotonic(), partial(_picture, frame, stream, crop))
+            yield Frame(self._count, time.monotonic(), partial(_picture, frame, kind, crop))
             self._count += 1
 
 
@@ -159,11 +160,11 @@ def _patient(container: Any, stream: Any, stop: threading.Event) -> Iterator[Any
             time.sleep(0.002)
 
 
-def _picture(frame: Any, stream: Any, crop: tuple[int, int, int, int] | None, scaling: Scaling) -> Picture:
+def _picture(frame: Any, kind: PixelKind, crop: tuple[int, int, int, int] | None, scaling: Scaling) -> Picture:
     if crop is None:
-        return Picture(frame_pixels(frame, stream, scaling=scaling))
+        return Picture(frame_pixels(frame, kind, scaling=scaling))
     left, top, width, height = crop
-    return Picture(reduced(frame_pixels(frame, stream)[top : top + height, left : left + width], scaling))
+    return Picture(reduced(frame_pixels(frame, kind)[top : top + height, left : left + width], scaling))
 
 
 class FilmSource(_Decoded):
@@ -233,7 +234,7 @@ class FolderSource:
     def __init__(self, path: Path):
         self.name, self.ends, self._path = str(path), False, path
         self.pair: PairLayout | None = None
-        self._count, self._shown = 0, (0, "")
+        self._count, self._shown, self._opened = 0, (0, ""), time.time()
 
     def frames(self, stop: threading.Event) -> Iterator[Frame]:
         """See Source."""
@@ -253,7 +254,7 @@ class FolderSource:
                 self._shown = newest
                 raise
             self._shown = newest
-            age = max(0.0, time.time() - newest[0] / 1e9)
+            age = max(0.0, time.time() - max(self._opened, newest[0] / 1e9))
             yield Frame(self._count, time.monotonic() - age, partial(_reduced_picture, picture))
             self._count += 1
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.checks import expect
+from lightfield_gs.base.checks import expect, is_row, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.cells import cell_numbers, subpixel_offsets
 from lightfield_gs.panels.panel import Panel
@@ -63,7 +63,7 @@ class Optics:
                 )
 
     @staticmethod
-    def of(panel: Panel, rig: Rig | None = None, names: Iterable[str] | None = None) -> Optics:
+    def of(panel: Panel, rig: Rig | None = None, names: Sequence[str] | None = None) -> Optics:
         """Return these numbers of a panel and a rig as float64 tensors that ask for gradients.
 
         Args:
@@ -82,6 +82,8 @@ class Optics:
         if rig is not None:
             known |= {name: getattr(rig, name) for name in _OF_RIG}
             known["cone_deg"] = panel.cone_deg if rig.cone_deg is None else rig.cone_deg
+        if names is not None and not (is_row(names) and all(isinstance(name, str) for name in names)):
+            raise InputError(f"optics: names: expected some of {', '.join(known)}, got {shown(names)}")
         names = tuple(known) if names is None else tuple(names)
         if unknown := [name for name in names if name not in known]:
             raise InputError(f"optics: {', '.join(unknown)}: expected names of {', '.join(known)}")

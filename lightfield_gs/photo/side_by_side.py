@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -133,17 +134,23 @@ def read_depth_half(path: str | Path, pixels: np.ndarray, side: str) -> DepthNum
 
 def _is_grey(values: np.ndarray, is_named: bool) -> bool:
     """Return whether values [H, W, 3] in 0..1 have next to no colour; is_named: see depth_side."""
-    apart, span = np.ptp(values, axis=2), float(np.ptp(values)) or 1.0
+    apart, span = _between_channels(values), float(np.ptp(values)) or 1.0
     if is_named:
         return float(np.quantile(apart, _C.grey_quantile)) <= max(_C.grey * span, _C.grey_step)
     return float(apart.max()) <= _C.grey * span
+
+
+def _between_channels(values: np.ndarray) -> np.ndarray:
+    """Return the largest less the smallest of the channels, [H, W]; numpy is slow along a short axis."""
+    channels = [values[..., channel] for channel in range(values.shape[2])]
+    return reduce(np.maximum, channels) - reduce(np.minimum, channels)
 
 
 def _luma(pixels: np.ndarray) -> np.ndarray:
     """Return the luma [H, W] of pixels [H, W, 3 or more] (BT.601), in their type; of grey pixels the channel."""
     luma = pixels[..., :3] @ np.array([0.299, 0.587, 0.114])
     luma = (luma if pixels.dtype == np.float32 else np.rint(luma)).astype(pixels.dtype)
-    return np.where(np.ptp(pixels[..., :3], axis=2) == 0, pixels[..., 0], luma)
+    return np.where(_between_channels(pixels[..., :3]) == 0, pixels[..., 0], luma)
 
 
 def _without_seam(half: np.ndarray, side: str, part: int) -> np.ndarray:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -60,6 +61,19 @@ class PictureEstimate:
         picture = torch.from_numpy(photo[..., :3]).movedim(2, 0)[None]
         colours = interpolate(picture, size=disparities.shape, mode="area")[0].movedim(0, 2)
         return cls(disparities.cpu().float(), colours)
+
+    @cached_property
+    def smooth(self) -> Tensor:
+        """The colours without noise [h, w, 3]; each picture is compared with many."""
+        side = 2 * _C.colour_radius_px + 1
+        channels = self.colours.movedim(2, 0)[None]
+        blurred = torch.nn.functional.avg_pool2d(channels, side, 1, _C.colour_radius_px, count_include_pad=False)
+        return blurred[0].movedim(0, 2)
+
+    @cached_property
+    def ends(self) -> tuple[float, float]:
+        """The low and the high percentile of the disparities."""
+        return percentiles(self.disparities)
 
 
 def steadied(
@@ -129,13 +143,12 @@ def _shot(
 
 def _averaged(shot: list[PictureEstimate], own: PictureEstimate, has_scale: bool, is_measured: bool) -> PictureEstimate:
     """Return one estimate of a shot, averaged with the others in its own scale and offset."""
-    smooth = _blurred(own.colours)
     total, weights = own.disparities.double(), torch.ones_like(own.disparities, dtype=torch.float64)
-    limits, scales = [percentiles(own.disparities)], [1.0]
+    limits, scales = [own.ends], [1.0]
     for other in shot:
         if other is own or other.disparities.shape != own.disparities.shape:
             continue
-        change = (_blurred(other.colours) - smooth).square().sum(2)
+        change = (other.smooth - own.smooth).square().sum(2)
         weight = torch.exp(change.double() / (-2 * _C.colour_std**2))
         if float(weight.mean()) < _C.least_weight:
             continue
@@ -145,7 +158,7 @@ def _averaged(shot: list[PictureEstimate], own: PictureEstimate, has_scale: bool
             continue
         total += weight * (scale * other.disparities + offset)
         weights += weight
-        low, high = percentiles(other.disparities)
+        low, high = other.ends
         limits.append((scale * low + offset, scale * high + offset))
         scales.append(1 / scale)
     low, high = (sum(part) / len(limits) for part in zip(*limits))
@@ -162,11 +175,3 @@ def fit_scale(values: Tensor, target: Tensor, weight: Tensor, has_scale: bool) -
     spread = (weight * (values - mean).square()).sum()
     scale = float((weight * (values - mean) * (target - aim)).sum() / spread) if float(spread) > 0 else 1.0
     return scale, float(aim) - scale * float(mean)
-
-
-def _blurred(colours: Tensor) -> Tensor:
-    side = 2 * _C.colour_radius_px + 1
-    blurred = torch.nn.functional.avg_pool2d(
-        colours.movedim(2, 0)[None], side, 1, _C.colour_radius_px, count_include_pad=False
-    )
-    return blurred[0].movedim(0, 2)

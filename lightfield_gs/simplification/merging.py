@@ -31,6 +31,7 @@ _MOST_OPAQUE = 0.995
 _FADE = 0.5  # of the transmittance before the nearer one; below it a mass counts in proportion
 _ROUND = 0.2  # fraction of the possible merges, the cheapest, that one round makes
 _BLOCK = 1 << 20  # edges at a time: bounds the memory of the costs
+_EIGENSYSTEMS = 1 << 14  # at a time: cuSOLVER takes some kB of memory for each, and fails with half a million
 _LEAST = 1e-12
 
 
@@ -249,7 +250,8 @@ def _axes(covariances: Tensor, rotation: Tensor) -> tuple[Tensor, Tensor]:
     """Return standard deviations [N,3] and quaternions [N,4] in world axes of covariances [N,6] in camera axes."""
     rows = torch.tensor([0, 1, 2, 1, 3, 4, 2, 4, 5], device=covariances.device)
     matrices = covariances.double()[:, rows].reshape(-1, 3, 3)
-    variances, axes = torch.linalg.eigh(matrices)
+    systems = zip(*(torch.linalg.eigh(part) for part in matrices.split(_EIGENSYSTEMS)))
+    variances, axes = (torch.cat(parts) for parts in systems)
     axes = rotation.double().T @ axes
     axes = axes * torch.linalg.det(axes).sign()[:, None, None]
     least = (1e-8 * variances[:, 2:]).clamp_min(1e-24)  # rounding of the sums may leave less than nothing

@@ -210,21 +210,42 @@ def decode(path: Path, maps: bool = False) -> Iterator[np.ndarray]:
         InputError: for a file that cannot be decoded.
     """
     with open_video(path) as (container, stream):
+        kind = PixelKind.of(stream)
         for frame in frames_of(container, stream):
-            yield frame_pixels(frame, stream, maps)
+            yield frame_pixels(frame, kind, maps)
 
 
-def frame_pixels(frame: Any, stream: Any, maps: bool = False, scaling: Scaling | None = None) -> np.ndarray:
+@dataclass(frozen=True)
+class PixelKind:
+    """The pixels of a stream, as they hold when it is closed: its frames outlive it.
+
+    Attributes:
+        aspect: Width over height of one.
+        curve: Number of ITU-T H.273 of the transfer characteristics.
+        primaries: Likewise of the primaries.
+    """
+
+    aspect: Fraction
+    curve: int
+    primaries: int
+
+    @staticmethod
+    def of(stream: Any) -> PixelKind:
+        """Return the kind of the pixels of PyAV's stream."""
+        context = stream.codec_context
+        return PixelKind(_pixel_aspect(stream), int(context.color_trc), int(context.color_primaries))
+
+
+def frame_pixels(frame: Any, kind: PixelKind, maps: bool = False, scaling: Scaling | None = None) -> np.ndarray:
     """Return the pixels of a frame of PyAV, as `decode` yields them.
 
     Args:
         frame: The frame.
-        stream: Its stream.
+        kind: Of the pixels of its stream.
         maps: See `decode`.
         scaling: How a large frame is reduced. None: it is not.
     """
-    curve, primaries = stream.codec_context.color_trc, stream.codec_context.color_primaries
-    aspect = _pixel_aspect(stream)
+    aspect, curve, primaries = kind.aspect, kind.curve, kind.primaries
     if maps and frame.format.components[0].bits > 8:
         pixels = _scale(frame, aspect, "gray16le", scaling)[..., None]
     elif not maps and (curve in (_PQ, _HLG) or primaries in _TO_BT709):

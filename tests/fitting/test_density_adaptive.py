@@ -82,11 +82,13 @@ def test_the_threshold_is_of_means_over_views_and_higher_for_absolute_gradients(
     assert changed(before, [2.1e-4, 1.9e-4], grow_grad2d=1e-4).count == 4
 
 
-def test_faint_ones_are_pruned_and_huge_ones_later():
+def test_faint_ones_are_pruned_and_huge_ones_later_if_asked():
     before = make_state([LARGE, LARGE, HUGE], [0.5, 0.004, 0.5])
-    assert torch.equal(changed(before, [0.0] * 3).values.means, before.values.means[[0, 2]])
-    assert torch.equal(changed(before, [0.0] * 3, LATE).values.means, before.values.means[:1])
-    grown = changed(before, [0.0, 1.0, 1.0], LATE)  # neither of the others is worth keeping in parts
+    pruned = {"prune_scale3d": 0.1}
+    assert torch.equal(changed(before, [0.0] * 3, LATE).values.means, before.values.means[[0, 2]])
+    assert torch.equal(changed(before, [0.0] * 3, **pruned).values.means, before.values.means[[0, 2]])
+    assert torch.equal(changed(before, [0.0] * 3, LATE, **pruned).values.means, before.values.means[:1])
+    grown = changed(before, [0.0, 1.0, 1.0], LATE, **pruned)  # neither of the others is worth keeping in parts
     assert torch.equal(grown.values.means, before.values.means[:1])
     faint = make_state([LARGE], [0.004])
     assert changed(faint, [0.0]) is faint  # the last one

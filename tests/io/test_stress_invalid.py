@@ -33,6 +33,7 @@ from lightfield_gs.models.unet import UNetConfig
 PANEL, RIG = CASES["panel 2 x 1"].view()
 SCENE = CASES["single"].scene().to(dtype=torch.float32)
 CAMERAS = RIG.cameras(PANEL)
+MEASURED = dataclasses.replace(PANEL, viewing_distance_mm=2000.0, pixel_pitch_mm=0.2)
 VIEWS = torch.zeros(PANEL.views, 1, 2, 3)
 NET = SplatterNet(ModelConfig(image_size_px=16, layers=1, unet=UNetConfig(4, (1, 2), 1, (), 1)))
 PHOTO, DEPTH = np.ones((3, 4, 4), np.float32), np.ones((3, 4), np.float32)
@@ -170,6 +171,18 @@ CALLS = {
     "Look": (lf.Look, dict(focus=2.0, depth_amount=0.5, cone_deg=20.0, zoom=1.5, pan=(0.1, -0.2))),
     "Look.applied": (lf.Look(focus=2.0).applied, dict(rig=RIG, panel=PANEL, gaussians=SCENE)),
     "QuiltLayout": (lf.QuiltLayout, dict(columns=2, rows=3, aspect=1.5, width_px=16, height_px=12)),
+    "Optics": (lf.Optics, lf.Optics.of(PANEL, RIG).given()),
+    "Optics.of": (lf.Optics.of, dict(panel=PANEL, rig=RIG, names=["phase", "zero_depth"])),
+    "simulate_with_gradients": (
+        lf.simulate_with_gradients,
+        dict(
+            image=torch.zeros(MEASURED.height_px, MEASURED.width_px, 3),
+            panel=MEASURED,
+            eye_mm=(0, 0, 2000),
+            spread_subpixels=1.0,
+            optics=lf.Optics.of(MEASURED, names=["phase"]),
+        ),
+    ),
     "depth_report": (lf.depth_report, dict(gaussians=SCENE, panel=PANEL, rig=RIG)),
     "load_photo": (lf.load_photo, dict(path="nowhere.png", mask="nowhere.png", remove_background=False, whole=True)),
     "prune": (lf.prune, dict(gaussians=SCENE, panel=PANEL, rig=RIG, contribution_cut=0.01)),
@@ -299,6 +312,7 @@ def test_every_public_name_is_tried():
     assert tried == set(lf.__all__) - {
         "DepthReport",
         "InputError",
+        "NotebookPicture",
         "RenderedImages",
         "build_info",
     }  # results, an error, and no arguments

@@ -8,6 +8,7 @@ from lightfield_gs import encode, simplify
 from lightfield_gs.base.harmonics import rotations
 from lightfield_gs.bench.scenes import benchmark_rig, sheet
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.simplification import merging
 
 
 def _psnr_db(image, other):
@@ -43,6 +44,17 @@ def test_a_pair_has_the_moments_of_its_mixture():
     expected = (1 - share) * parts[0] + share * parts[1] + share * (1 - share) * np.outer(line, line)
     found = (rotations(merged.quaternions.double()) * merged.scales.double()[:, None]).numpy()[0]
     assert np.allclose(found @ found.T, expected, atol=1e-5 * np.abs(expected).max() + 1e-8)
+
+
+def test_systems_of_eigenvectors_are_solved_some_at_a_time(monkeypatch):
+    """cuSOLVER fails with half a million of them."""
+    scene, whole = sheet(16), Panel.load("toy-8v")
+    fan = benchmark_rig("sheet:16", scene, whole, None)
+    at_once = simplify(scene, whole, fan, count=128).gaussians
+    monkeypatch.setattr(merging, "_EIGENSYSTEMS", 7)
+    assert all(
+        map(torch.equal, simplify(scene, whole, fan, count=128).gaussians.fields().values(), at_once.fields().values())
+    )
 
 
 def test_the_bound_holds_and_is_used():

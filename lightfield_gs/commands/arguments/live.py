@@ -54,9 +54,9 @@ def add_arguments(parser: Parser) -> None:
     add_fps(add, "frames a second to hold (default 30)")
     add(
         "--pixels",
-        type=whole(160 * 90, 1_500_000),
+        type=whole(10_000, 1_500_000),
         metavar="N",
-        help="take so many pixels of each picture at most, 14400..1500000 (default: as many as hold --fps; a line says "
+        help="take so many pixels of each picture at most, 10000..1500000 (default: as many as hold --fps; a line says "
         "when they become fewer)",
     )
     add_panel(parser.add_argument, "for framing")
