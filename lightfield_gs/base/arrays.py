@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import lru_cache
+import sys
+from collections.abc import Callable, Sequence
+from functools import lru_cache, wraps
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import torch
@@ -14,6 +16,7 @@ from torch.nn import Parameter
 from lightfield_gs.base.checks import expect, shown, wrong_type
 from lightfield_gs.base.errors import InputError
 
+_Function = TypeVar("_Function", bound=Callable)
 Colour = Sequence[float] | np.ndarray | Tensor  # red, green and blue, or anything that broadcasts to them
 
 
@@ -28,6 +31,27 @@ def is_eager(arguments: tuple) -> bool:
     if torch._C._are_functorch_transforms_active() or torch._C._len_torch_dispatch_stack():
         return False
     return all(type(t) in (Tensor, Parameter) and not t.is_meta for t in arguments if isinstance(t, Tensor))
+
+
+def for_graphs(function: _Function) -> _Function:
+    """Return a function that torch.compile takes into its graphs from torch 2.11 on.
+
+    Earlier compilers fail in it. They leave it out, as by torch.compiler.disable, which is called late: it takes 2 s in
+    programs that compile nothing. With fullgraph=True they raise an error, which names the function below.
+    """
+    if torch.__version__ >= "2.11":  # compared by numbers
+        return function
+    disabled: list[Callable] = []
+
+    @wraps(function)
+    def whole_graphs_need_torch_2_11(*arguments: Any, **options: Any) -> Any:
+        if "torch._dynamo" not in sys.modules:
+            return function(*arguments, **options)
+        if not disabled:
+            disabled.append(torch.compiler.disable(function))
+        return disabled[0](*arguments, **options)
+
+    return cast(_Function, whole_graphs_need_torch_2_11)
 
 
 def to_tensor(what: str, value: np.ndarray | Tensor, meta: bool = False) -> Tensor:

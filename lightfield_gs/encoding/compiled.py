@@ -132,12 +132,6 @@ _encode_direct = register_operator(
 )
 
 
-@torch.compiler.assume_constant_result
-def _is_exporting() -> bool:
-    """Return whether torch.export traces. The compiler of torch 2.11 takes is_exporting() for True everywhere."""
-    return torch.compiler.is_exporting()
-
-
 def encode_in_graph(
     fields: tuple[Tensor, ...],
     background: Tensor,
@@ -157,7 +151,8 @@ def encode_in_graph(
     Raises:
         InputError: in a strict torch.export, which makes the array of the rig a constant of zeros.
     """
-    if _is_exporting():
+    # The compiler of torch 2.11 takes is_exporting() for True everywhere
+    if torch.compiler.is_dynamo_compiling() and torch.compiler._is_exporting_flag:
         raise InputError("encode: expected a torch.export with strict=False, its default; got a strict one")
     cone = math.nan if rig.cone_deg is None else rig.cone_deg
     of_panel = panel.line_number, panel.slant_tan, panel.phase, panel.cone_deg

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.arrays import Colour, background_tensor, is_eager, to_bytes
+from lightfield_gs.base.arrays import Colour, background_tensor, for_graphs, is_eager, to_bytes
 from lightfield_gs.base.checks import expect, real_number, whole_number
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import METHODS, ONLY_FOR, OUTPUTS, VIEWS, Method, Output, QualityName, Views
@@ -39,6 +39,7 @@ _ON_WEBGPU = ": the other methods are drawn where the Gaussians are, on the CPU 
 _WHY_NOT = {"cameras": _BY_A_RIG, "view_map": _BY_A_RIG, "memory_budget": _BY_A_RIG, "out": "", "device": _ON_WEBGPU}
 
 
+@for_graphs
 def encode(
     gaussians: Gaussians,
     panel: Panel,

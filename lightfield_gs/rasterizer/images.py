@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 import lightfield_gs
-from lightfield_gs.base.arrays import Colour, background_tensor, check_tensor, is_eager
+from lightfield_gs.base.arrays import Colour, background_tensor, check_tensor, for_graphs, is_eager
 from lightfield_gs.base.checks import expect
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import RenderMode
@@ -101,6 +101,7 @@ _OTHERS = ("features", "normals", "median_depth", "means2d", "conics", "tiles")
 _OF_SPLATS = ("radii", "means2d", "conics", "tiles")
 
 
+@for_graphs
 def render(
     gaussians: Gaussians,
     cameras: Cameras,

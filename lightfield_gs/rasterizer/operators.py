@@ -109,12 +109,7 @@ def register_operator(
             return overload(*arguments)
         return differentiate(*arguments) if torch.is_grad_enabled() else function(*arguments)
 
-    members = {
-        "forward": forward,
-        "setup_context": setup_context,
-        "backward": backward,
-        "jvp": _refuse_forward_mode,
-    }
+    members = {"forward": forward, "setup_context": setup_context, "backward": backward, "jvp": _refuse_forward_mode}
     node: Any = type(name, (torch.autograd.Function,), {key: staticmethod(member) for key, member in members.items()})
     for device in ("CPU", "CUDA"):
         LIBRARY.impl(name, function, device)

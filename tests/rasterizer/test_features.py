@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import torch
 from rasterizer_cases import dense_views, projected, random_scene, stacked
+from test_traced_render import WHOLE_GRAPHS
 from torch import Tensor
 
 import lightfield_gs as lf
@@ -311,6 +312,7 @@ def test_operators_are_registered_as_torch_wants_them(dtype):
     torch.library.opcheck(operators.composite_median_depth, (splats.detach(), colours.detach(), lists, 2, *size))
 
 
+@WHOLE_GRAPHS
 def test_the_stages_compile_into_one_graph():
     scene, seen = leaves(random_scene(6, 1, seed=17)), cameras(width=12, height=9)
     views = [t[None] for t in (seen.world_to_camera, seen.intrinsics(), seen.limits())]

@@ -4,7 +4,7 @@ import pytest
 import torch
 from rasterizer_cases import panel, rig
 from test_gradients import SMALL, dense, dense_inputs, leaves, lens, lens_inputs
-from test_traced_render import by_torch, everything, fields, gradients
+from test_traced_render import WHOLE_GRAPHS, by_torch, everything, fields, gradients
 from torch.func import grad, hessian, jacrev, vmap
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -99,7 +99,7 @@ def test_vmap_draws_all_rows_at_once():
     assert calls.names() == ["render_images_with_state", "render_images_backward"]
 
 
-@SENSORS
+@pytest.mark.parametrize("sensor", [pytest.param(ordinary, marks=WHOLE_GRAPHS), light_field])
 def test_compiled_transforms_are_whole_graphs(sensor):
     draw, _, moving = sensor()
     batch, every = several(moving), tuple(range(len(moving)))
