@@ -192,7 +192,7 @@ def stored_png(pixels: np.ndarray) -> memoryview:
     if size > _LONGEST_STORED:
         filtered = np.zeros((height, size), np.uint8)
         filtered[:, 1:] = pixels.reshape(height, -1)
-        return memoryview(start + _chunk(b"IDAT", zlib.compress(filtered, 0)) + end)
+        return memoryview(start + _chunk(b"IDAT", zlib.compress(filtered.data, 0)) + end)
     start += struct.pack(">I", 2 + height * (5 + size) + 4) + b"IDAT" + _ZLIB_HEADER
     first = len(start)
     file = np.empty(first + height * (5 + size) + 8 + len(end), np.uint8)
@@ -208,7 +208,7 @@ def stored_png(pixels: np.ndarray) -> memoryview:
     file[after : after + 4] = np.frombuffer(struct.pack(">I", sum_of_rows), np.uint8)
     check = isal_zlib.crc32(file[first - 6 : after + 4])
     file[after + 4 :] = np.frombuffer(struct.pack(">I", check) + end, np.uint8)
-    return memoryview(file)
+    return file.data
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:
