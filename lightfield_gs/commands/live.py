@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
+import torch
+
 from lightfield_gs.app.options import LookOptions, PanelOptions, PhotoOptions, RenderOptions
 from lightfield_gs.app.panel import connected_position, load_panel, where_to_show
 from lightfield_gs.app.scene import check_photo_options
@@ -43,7 +45,6 @@ _NOT_LIVE = {
     "mask": "a live picture has no mask in a file: use --remove-background",
     "map_orientation": "a live picture has no map in a file",
     "intrinsics": "the pictures may be taken smaller: give --fov",
-    "pixel_aspect": "live pictures have square pixels",
 }
 
 
@@ -103,7 +104,8 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     stack.callback(reader.stop)
     _say_now(f"{source.name}: waiting for its first picture")
     try:
-        scenes.settle(iter(reader.newest))
+        with torch.inference_mode():
+            scenes.settle(iter(reader.newest))
     except InputError as error:
         raise reader.failed or error from None
     how = scenes.drawn_as

@@ -74,7 +74,7 @@ class Health:
     def __init__(self) -> None:
         self._lock, self._span = threading.Lock(), Span()
         self._since: dict[str, list[float]] = {}  # when stages that work began, and up to when that is counted
-        self.shown, self.drawn, self.taken = 0, 0, 0
+        self.shown, self.drawn, self.taken, self._last_sent = 0, 0, 0, -1
 
     def has_taken(self, frame: Frame) -> None:
         """Count a picture of the source."""
@@ -89,8 +89,11 @@ class Health:
             self.drawn += 1
 
     def has_sent(self, frame: Frame) -> None:
-        """Count a picture whose last byte is on its way, or in the hands of the recorder."""
+        """Count a picture whose last byte is on its way, or in the hands of the recorder; the first of these."""
         with self._lock:
+            if frame.number <= self._last_sent:
+                return
+            self._last_sent = frame.number
             self._span.latencies_s.append(time.monotonic() - frame.taken)
             self.shown += 1
 

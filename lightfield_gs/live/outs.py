@@ -35,7 +35,6 @@ class PageOut:
         self._panel, self._health, self._changed = panel, health, threading.Condition()
         self._version, self._pixels = 0, np.zeros((panel.height_px, panel.width_px, 3), np.uint8)
         self._frames: deque[tuple[int, Frame]] = deque(maxlen=_REMEMBERED)
-        self._counted = 0
 
     def put(self, frame: Frame, pixels: np.ndarray) -> None:
         """See Out."""
@@ -66,11 +65,9 @@ class PageOut:
 
     def _sent(self, version: int) -> None:
         with self._changed:
-            frame = next((frame for number, frame in self._frames if number == version), None)
-            if frame is None or version <= self._counted:  # another page had it before
-                return
-            self._counted = version
-        self._health.has_sent(frame)
+            sent = [frame for number, frame in self._frames if number == version]
+        for frame in sent:  # one, or none of a picture that a slow page had long ago
+            self._health.has_sent(frame)
 
 
 class Recording:

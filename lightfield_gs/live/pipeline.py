@@ -64,7 +64,8 @@ class Pipeline:
         self._reader.stop()
         self._reader.newest.close()
         for thread in self._threads:
-            thread.join()
+            if thread.ident is not None:  # it was started
+                thread.join()
         if (error := self._failed or self._reader.failed) is not None:
             raise error
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -35,6 +36,10 @@ from lightfield_gs.photo.stereo_pair import can_match
 from lightfield_gs.scene.gaussians import Gaussians
 
 _PATIENCE_S = 3.0  # with pictures of which no scene can be made, at the beginning: cameras begin dark
+
+
+class _NotYetError(InputError):
+    """No scene can be made of a picture, and of a later one perhaps."""
 
 
 class LiveScenes:
@@ -86,7 +91,7 @@ class LiveScenes:
             try:
                 self._settle_by(self._picture(frame))
                 return
-            except (NoCutOut, PairMismatch):
+            except _NotYetError:
                 if time.monotonic() > until:
                     raise
         raise InputError(f"{self._source.name}: it ended before a picture came of which a scene can be made")
@@ -129,7 +134,7 @@ class LiveScenes:
             kind = ".exr" if picture.pixels.dtype == np.float32 else ".png"
             path = folder / (re.sub(r"[^\w-]+", "_", self._name.stem)[-60:] + kind)
             write_image(path, picture.pixels)
-            with capture(lines):
+            with self._naming(path), capture(lines):
                 photo, messages = self._kind_of(path, picture)
                 options = SceneOptions(path, photo=photo)
                 check_scene_options(options, CameraOptions())
@@ -167,6 +172,21 @@ class LiveScenes:
         is_said = photo.stereo_in is not None
         photo = replace(photo, stereo_in=cast(StereoInput, pair.kind), swap_eyes=pair.is_swapped)
         return photo, [] if is_said else [f"stereo: two eyes' pictures by {pair.source} (else: --stereo-in none)"]
+
+    @contextmanager
+    def _naming(self, path: Path) -> Iterator[None]:
+        """Name the source, not a file, in errors; raise _NotYetError where another picture may do."""
+        try:
+            yield
+        except NoCutOut as error:
+            raise _NotYetError(
+                f"{self._renamed(error.reason, path)}; give --depth auto for the whole picture in depth, or "
+                "--remove-background for who is before the camera; both take pip install 'lightfield-gs[photo]'"
+            ) from None
+        except PairMismatch as error:
+            raise _NotYetError(self._renamed(str(error), path)) from None
+        except InputError as error:
+            raise InputError(self._renamed(str(error), path)) from None
 
     def _renamed(self, words: str, path: Path) -> str:
         return words.replace(f"{path}: ", "").replace(str(path), self._source.name)

@@ -46,7 +46,7 @@ class Frame:
 
     Attributes:
         number: How many came before it.
-        taken: When it reached the program, seconds of time.monotonic; of a folder, when its file was written.
+        taken: When it reached the program, seconds of time.monotonic; of a folder, when its file was written since.
         picture: Returns its pixels, reduced as it is told.
     """
 
@@ -234,7 +234,7 @@ class FolderSource:
     def __init__(self, path: Path):
         self.name, self.ends, self._path = str(path), False, path
         self.pair: PairLayout | None = None
-        self._count, self._shown = 0, (0, "")
+        self._count, self._shown, self._opened = 0, (0, ""), time.time()
 
     def frames(self, stop: threading.Event) -> Iterator[Frame]:
         """See Source."""
@@ -254,7 +254,7 @@ class FolderSource:
                 self._shown = newest
                 raise
             self._shown = newest
-            age = max(0.0, time.time() - newest[0] / 1e9)
+            age = max(0.0, time.time() - max(self._opened, newest[0] / 1e9))
             yield Frame(self._count, time.monotonic() - age, partial(_reduced_picture, picture))
             self._count += 1
 

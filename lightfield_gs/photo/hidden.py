@@ -162,7 +162,7 @@ def _find_runs(depth: Tensor, focal_px: float) -> _Run:
     z = np.ascontiguousarray(depth.T.cpu().numpy())  # a column is a row: it is read again and again
     torn = ~joined(depth, focal_px).T.cpu().numpy()
     nearer = z[1:] < z[:-1]
-    opens, closes = torn & nearer, torn & ~nearer
+    opens, closes = np.logical_and(torn, nearer), np.logical_and(torn, ~nearer)
     far, reach, cover, since = np.zeros((4, z.shape[1]), z.dtype)
     current = np.full(z.shape[1], -1)
     source, distance = np.full(z.shape, -1), np.zeros_like(z)

@@ -9,14 +9,16 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 import pytest
 import torch
+from chromium import Browser
 from command_line import complaint, heed_ctrl_c, run
 from live_sources import Clock, clock, read_clock
 from photo_cases import photo, tiny_net
@@ -24,6 +26,7 @@ from PIL import Image
 
 from lightfield_gs.app.options import FLAT, LookOptions, PhotoOptions, RenderOptions
 from lightfield_gs.base.cli_messages import capturable_streams
+from lightfield_gs.cli import main
 from lightfield_gs.io.images import Picture
 from lightfield_gs.live.detail import Detail
 from lightfield_gs.live.health import Health, Span
@@ -111,18 +114,23 @@ def test_a_clock_is_read_back_from_the_panels_picture():
     assert [read_clock(image, PANEL) for image in drawn] == numbers
 
 
-@pytest.fixture
-def film(tmp_path) -> Path:
-    path = tmp_path / "film.mkv"
+def write_film(path: Path, frames: Iterable[np.ndarray]) -> Path:
+    """Write frames uint8 [40, 80, 3], five a second, without loss."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("ffv1", rate=5)
         stream.height, stream.width, stream.pix_fmt = 40, 80, "bgr0"
-        for number in range(12):
-            frame = clock(number, (40, 80))
-            frame[8 + 2 * number :: 7, number::9] = 200, 30, 90
+        for frame in frames:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
         container.mux(stream.encode(None))
     return path
+
+
+@pytest.fixture
+def film(tmp_path) -> Path:
+    frames = [clock(number, (40, 80)) for number in range(12)]
+    for number, frame in enumerate(frames):
+        frame[8 + 2 * number :: 7, number::9] = 200, 30, 90
+    return write_film(tmp_path / "film.mkv", frames)
 
 
 def test_a_recording_has_frames_of_video_in_their_time(film, tmp_path, capsys):
@@ -176,6 +184,13 @@ def span_of(seconds: float, taken: int, **busy: tuple[float, int]) -> Span:
     return span
 
 
+def test_a_picture_on_a_page_and_in_a_recording_counts_once():
+    health = Health()
+    for number in (0, 0, 1, 0, 2):
+        health.has_sent(Frame(number, time.monotonic(), lambda scaling: Picture(clock(0))))
+    assert health.take().shown == health.shown == 3
+
+
 def test_the_busiest_stage_is_the_bound_or_else_the_source():
     assert span_of(2, 60, depth=(1.9, 20), encode=(1.0, 20)).bound == "depth"
     assert span_of(2, 60, depth=(0.9, 60), encode=(1.0, 60)).bound == "source"
@@ -216,6 +231,40 @@ def test_pictures_become_smaller_until_the_rate_holds_and_never_for_more_than_th
 )
 def test_what_a_live_picture_cannot_have_is_refused(film, options, words, capsys):
     assert words in complaint(capsys, f"live {film} --panel toy-8v --no-open {options}")
+
+
+def test_a_film_without_an_object_is_refused_with_the_ways_that_a_live_picture_has(tmp_path, capsys, monkeypatch):
+    random = np.random.default_rng(0)
+    film = write_film(tmp_path / "noise.mkv", random.integers(0, 256, (20, 40, 80, 3), np.uint8))
+    monkeypatch.setattr("lightfield_gs.photo.depth_network.is_installed", lambda: False)
+    assert main(f"live {film} --panel toy-8v --no-open".split()) == 2
+    said = capsys.readouterr().err
+    assert f"error: {film} has no cut-out" in said and "--depth auto" in said and "--remove-background" in said
+    assert "FILE" not in said and "partial" not in said
+
+
+@pytest.mark.slow
+def test_the_page_follows_pixel_for_pixel(tmp_path):
+    health = Health()
+    panel = replace(PANEL, width_px=640, height_px=480)
+    page, random = PageOut(panel, health), np.random.default_rng(0)
+    server = Server(page.routes())
+    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+    browser = Browser(tmp_path, 640, 480)
+    try:
+        size = dict(width=640, height=480, screenWidth=640, screenHeight=480)
+        browser.call("Emulation.setDeviceMetricsOverride", deviceScaleFactor=1, mobile=False, **size)
+        browser.open(server.url + "/")
+        for number in (1, 2, 3):
+            pixels = random.integers(0, 256, (480, 640, 3), np.uint8)
+            page.put(Frame(number, time.monotonic(), lambda scaling, p=pixels: Picture(p)), pixels)
+            browser.wait(f"document.body?.dataset.version === '{number}'")
+            np.testing.assert_array_equal(browser.screenshot(), pixels)
+    finally:
+        browser.close()
+        server.shutdown()
+        server.server_close()
+    assert health.take().shown == 3
 
 
 def resident_mib() -> float:
