@@ -256,11 +256,3 @@ def test_an_encoder_draws_what_encode_draws(options):
     assert torch.equal(Encoder(shown, fan, **options)(gaussians), encode(gaussians, shown, fan, **options))
     with pytest.raises(InputError, match="views"):
         Encoder(shown, fan, views="some")
-
-
-def test_batches_belong_to_render():
-    from rasterizer_cases import stacked
-
-    shown = panel()
-    with pytest.raises(InputError):
-        encode(stacked([random_scene(3), random_scene(3)]), shown, rig(shown))
