@@ -219,8 +219,8 @@ def refine_adaptive(
     """
     largest, gradients = state.scales.amax(1), statistics.gradients / statistics.drawn.clamp_min(1)
     small = largest <= settings.grow_scale3d
-    prunes = settings.prune_scale3d is not None and step > settings.scaled(PRUNE_START_ITER)
-    most = settings.prune_scale3d if prunes else math.inf
+    early = step <= settings.scaled(PRUNE_START_ITER)
+    most = math.inf if early or settings.prune_scale3d is None else settings.prune_scale3d
     alive = state.opacities >= settings.min_opacity
     fits_whole, fits_split = alive & (largest <= most), alive & ~small & (largest / _SHRINK <= most)
     wanting = (gradients >= _grow_threshold(settings)) & torch.where(small, fits_whole, fits_split)

@@ -38,7 +38,7 @@ def exposure_spread(capture: Capture, indices: Sequence[int]) -> float | None:
     some = [indices[int(place)] for place in np.linspace(0, len(indices) - 1, min(len(indices), _MOST_PHOTOGRAPHS))]
     every = -(-max(1, len(capture.points)) // _MOST_POINTS)
     points, colours = capture.points[::every], capture.colours[::every]
-    small = capture.reduced(min(_LONGEST_PX, int(capture.sizes_px.max())))
+    small = capture.reduced(_LONGEST_PX) if capture.sizes_px.max() > _LONGEST_PX else capture
     logs = np.stack([_log_brightness(small, index, points, colours) for index in some])
     logs = logs[np.isfinite(logs).sum(1) >= _FEWEST_POINTS]
     logs = logs[:, np.isfinite(logs).sum(0) >= _FEWEST_PHOTOGRAPHS]

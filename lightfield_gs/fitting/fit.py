@@ -266,13 +266,11 @@ def fit(
             return Placement.choose(_estimate(one, chosen, own), room, photos_on, moments_on)
 
         read = read if group.size > 1 else _fit_memory(read, place, options)
-        if exposure is None:
-            chosen = replace(chosen, exposure=_needs_exposure(read, train))
         placement = place(read)
         for line in placement.assumptions(photos_on, moments_on):
             assume(line)
         run, normalization, display = _prepare(
-            read, train, test, chosen, options, placement, group, (cone, centre, score_cone), opened, own_loss
+            read, train, test, chosen, exposure, options, placement, group, (cone, centre, score_cone), opened, own_loss
         )
         run.go()
         trainer, pruning, window_scores = run.trainer, None, None
@@ -282,7 +280,7 @@ def fit(
         scene = _remove_origin(normalization.restore(scene.to("cpu")))
     return FitResult(
         scene,
-        chosen,
+        trainer.settings,
         trainer.done,
         run.scores,
         run.history,
@@ -364,6 +362,7 @@ def _prepare(
     train: list[int],
     test: list[int],
     settings: FitSettings,
+    exposure: bool | None,
     options: RunOptions,
     placement: Placement,
     group: Group,
@@ -374,11 +373,14 @@ def _prepare(
     """Return the run before its first step, its coordinates and its display; print the choices.
 
     Args:
+        exposure: that of the settings; None: if the exposures of the photographs differ.
         cones: cone, centre and score_cone.
         opened: gets the folder of the run's temporary files.
         loss: in place of that of the settings.
     """
     display, judged, messages = place_display(capture, *cones)
+    if exposure is None:
+        settings = replace(settings, exposure=_needs_exposure(capture, train))
     weights = None if display is None else display.photo_weights(train)
     identity = Identity.make(settings, capture, train, weights, loss)
     progress = Progress(

@@ -9,6 +9,7 @@ are critical. Filters: section 9.2; chunks of colour and text: section 11.
 
 from __future__ import annotations
 
+import io
 import mmap
 import struct
 import warnings
@@ -34,6 +35,7 @@ _LETTERS = frozenset(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz")
 _COLOUR_TYPES = {1: 0, 3: 2, 4: 6}  # by channels: grey, RGB, RGB with alpha
 _UP = 2  # the filter that subtracts the pixel above
 _ZLIB_HEADER = b"\x78\x01"  # deflate with a window of 32 KB, by a fast algorithm (RFC 1950, section 2.2)
+_LONGEST_STORED = 0xFFFF  # bytes of a stored block of deflate
 _LEVEL = 1  # of ISA-L's 0..3: files as large as zlib's; higher levels cost time and save nothing
 # Bytes compressed at once: a few calls an image, since threads of Python take turns between calls
 _BLOCK_BYTES = 1 << 24
@@ -170,6 +172,49 @@ def write_png(path: Path, image: np.ndarray | CompressedImage, texts: Mapping[st
         for part in image.stream if isinstance(image, CompressedImage) else _compress(image):
             _write_chunk(file, b"IDAT", part)
         _write_chunk(file, b"IEND", b"")
+
+
+def stored_png(pixels: np.ndarray) -> memoryview:
+    """Return a PNG file without compression and without a colour profile: the fastest that has each byte.
+
+    Each row is a stored block of deflate (RFC 1951, 3.2.4), so that the pixels are copied once. Rows that are too long
+    for a block are packed by zlib, in more time.
+
+    Args:
+        pixels: [H, W, 3], uint8.
+    """
+    from isal import isal_zlib
+
+    height, width, channels = pixels.shape
+    size = 1 + channels * width  # of a row: its filter, none, and its bytes
+    header = _HEADER.pack(width, height, 8, _COLOUR_TYPES[channels], 0, 0, 0)
+    start, end = _SIGNATURE + _chunk(b"IHDR", header), _chunk(b"IEND", b"")
+    if size > _LONGEST_STORED:
+        filtered = np.zeros((height, size), np.uint8)
+        filtered[:, 1:] = pixels.reshape(height, -1)
+        return memoryview(start + _chunk(b"IDAT", zlib.compress(filtered.data, 0)) + end)
+    start += struct.pack(">I", 2 + height * (5 + size) + 4) + b"IDAT" + _ZLIB_HEADER
+    first = len(start)
+    file = np.empty(first + height * (5 + size) + 8 + len(end), np.uint8)
+    file[:first] = np.frombuffer(start, np.uint8)
+    rows = file[first : first + height * (5 + size)].reshape(height, 5 + size)
+    rows[:, :6] = np.frombuffer(struct.pack("<BHHB", 0, size, size ^ _LONGEST_STORED, 0), np.uint8)
+    rows[-1, 0] = 1  # the last block
+    rows[:, 6:] = pixels.reshape(height, -1)
+    sum_of_rows = 1
+    for row in rows:
+        sum_of_rows = isal_zlib.adler32(row[5:], sum_of_rows)
+    after = first + rows.size
+    file[after : after + 4] = np.frombuffer(struct.pack(">I", sum_of_rows), np.uint8)
+    check = isal_zlib.crc32(file[first - 6 : after + 4])
+    file[after + 4 :] = np.frombuffer(struct.pack(">I", check) + end, np.uint8)
+    return file.data
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    file = io.BytesIO()
+    _write_chunk(file, kind, data)
+    return file.getvalue()
 
 
 def _compress(pixels: np.ndarray) -> Iterator[bytes]:

@@ -101,7 +101,7 @@ def test_the_number_is_that_of_the_budget_in_the_end(steps, start, budget):
 def test_a_fit_comes_nearer_and_repeats_bit_by_bit():
     scene = known_scene()
     images = photograph_scene(scene)
-    settings = mcmc_settings(steps=150, cap_max=250)
+    settings = mcmc_settings(steps=150, cap_max=250, init_scale=0.1)
 
     def fitted(stops):
         trainer = Trainer(first_state(scene, settings), images, settings)

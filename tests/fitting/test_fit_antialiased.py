@@ -23,7 +23,7 @@ def test_a_fit_draws_as_its_settings_say():
     images.photos = pictures.mul(255).round().to(torch.uint8)
     scores = {}
     for antialiased in (False, True):
-        settings = FitSettings(steps=200, cap_max=300, sh_degree=0, antialiased=antialiased)
+        settings = FitSettings(steps=200, cap_max=300, sh_degree=0, antialiased=antialiased, init_scale=0.1)
         trainer = Trainer(first_state(scene, settings, 300), images, settings)
         for done in (0, settings.steps):
             trainer.advance(done)

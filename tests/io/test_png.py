@@ -1,5 +1,6 @@
 """PNG files of our own, as Pillow and zlib read them."""
 
+import io
 import warnings
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from PIL import Image
 
 from lightfield_gs.io.images import read_image, read_info, write_image
+from lightfield_gs.io.png import stored_png
 
 RNG = np.random.default_rng(4)
 ORDER = np.arange(256, dtype=np.uint8)
@@ -38,3 +40,11 @@ def test_what_is_written_is_read(pixels, tmp_path):
             image.load()
         assert np.array_equal(np.asarray(image).reshape(pixels.shape), pixels[:, ::-1])
         assert set(image.text) == {"Description", "Software"}
+
+
+@pytest.mark.parametrize("width", [1, 7, 21844, 21845])
+def test_a_stored_png_has_each_byte(width):
+    pixels = np.random.default_rng(0).integers(0, 256, (3, width, 3), np.uint8)
+    file = io.BytesIO(stored_png(pixels))
+    Image.open(file).verify()
+    np.testing.assert_array_equal(np.asarray(Image.open(file)), pixels)

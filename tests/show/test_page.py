@@ -262,7 +262,7 @@ def slow_readers(server: Server, path: str, count: int):
 
 def test_slow_readers_of_the_panel_share_one_packed_picture(monkeypatch):
     packed = []
-    monkeypatch.setattr(routes, "image_bytes", lambda *_, **options: packed.append(bytes(16 << 20)) or packed[-1])
+    monkeypatch.setattr(routes, "stored_png", lambda _: packed.append(bytes(16 << 20)) or packed[-1])
     with serving(shown_routes(PANEL, np.zeros((60, 96, 3), np.uint8))) as server:
         with slow_readers(server, "/panel.png", 12) as begun:
             assert begun == [b"HTTP/1.1 200"] * 12 and len(packed) == 1

@@ -181,7 +181,9 @@ def test_eyes_of_the_page_look_through_the_lenses_as_those_of_the_package(tmp_pa
     """Where they meet the lens of each sub-pixel, on panels of cells and lenses behind the pixels too."""
     open_modules(page, tmp_path, {"eyeBefore": Path(panels.__file__).parent / "browser" / "simulate.js"})
     found, turns_along = [], simulate._turns_along
-    monkeypatch.setattr(simulate, "_turns_along", lambda *of: found.append((turns_along(*of), of[-2])) or found[-1][0])
+    monkeypatch.setattr(
+        simulate, "_turns_along", lambda *of: found.append((turns_along(*of), of[-1].slope)) or found[-1][0]
+    )
     measures = dict(viewing_distance_mm=650.0, pixel_pitch_mm=0.18)
     assert page.run(f"eyeBefore({json.dumps(panel().to_dict())}, 0.2)") is None
     behind = panel(invert_views=True, subpixel_order="BGR", **measures)

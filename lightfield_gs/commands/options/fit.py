@@ -34,9 +34,9 @@ _MOST = 10_000_000
 _SETTINGS = {"gaussians": "cap_max", "absolute_gradients": "absgrad", "views_per_step": "batch_size"}
 # Options that depend on --quick: usual values, and those of a first look by device. Those of a CPU were chosen on the
 # banana of the package (14 photographs), for a minute on two cores; their quality was reported on no other capture
-_USUAL = {"longest_px": None, "steps": 30_000, "gaussians": 300_000, "sh_degree": 3}
+_USUAL: dict[str, Any] = {"longest_px": None, "steps": 30_000, "gaussians": 300_000, "sh_degree": 3, "init_scale": 1.0}
 _QUICK = {
-    "cpu": _USUAL | {"longest_px": 320, "steps": 1500, "gaussians": 15_000, "sh_degree": 2},
+    "cpu": _USUAL | {"longest_px": 320, "steps": 1500, "gaussians": 15_000, "sh_degree": 2, "init_scale": 0.1},
     "cuda": _USUAL | {"steps": 7000},
 }
 
@@ -83,6 +83,7 @@ class OptimisationOptions:
     density: Density
     absolute_gradients: bool
     sh_degree: int | None
+    init_scale: float | None
     views_per_step: int
     exposure: bool | None
     dropout: float
@@ -177,7 +178,9 @@ class FitOptions:
         if capture.longest_px is None and capture.scale is None:
             capture = replace(capture, longest_px=values["longest_px"])
         own: dict[str, Any] = {
-            name: values[name] for name in ("steps", "gaussians", "sh_degree") if getattr(optimisation, name) is None
+            name: values[name]
+            for name in ("steps", "gaussians", "sh_degree", "init_scale")
+            if getattr(optimisation, name) is None
         }
         return replace(self, capture=capture, optimisation=replace(optimisation, **own))
 
@@ -186,8 +189,8 @@ class FitOptions:
         made, longest = self.optimisation, self.capture.longest_px
         size = "" if longest is None else f", photographs of {longest} pixels at most"
         return (
-            f"a first look: {made.steps} steps, {made.gaussians} Gaussians, harmonics of degree {made.sh_degree}{size} "
-            "(each has its own option)"
+            f"a first look: {made.steps} steps, {made.gaussians} Gaussians that begin at {made.init_scale:g} of the "
+            f"distance to neighbours, harmonics of degree {made.sh_degree}{size} (each has its own option)"
         )
 
 
@@ -342,6 +345,13 @@ def add_optimisation(add: Add) -> None:
         choices=range(4),
         help="degree of the spherical harmonics, 0..3: how much colours may change with the viewing direction; "
         "0: not at all (default 3)",
+    )
+    add(
+        "--init-scale",
+        type=within(1e-6, 1e6),
+        metavar="FACTOR",
+        help="size of the first Gaussians in distances to their neighbours (default 1; with --quick on a CPU 0.1, "
+        "which leaves short fits more texture)",
     )
     add(
         "--views-per-step",

@@ -8,9 +8,9 @@ from functools import partial
 
 import numpy as np
 
+from lightfield_gs.io.png import stored_png
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.show.page.server import Answer, Query, Reservation, Route, as_json, number, page_file, text
-from lightfield_gs.show.preview import image_bytes
 
 WAIT_S = 10.0  # for another picture of the panel, before the page asks again
 
@@ -75,8 +75,7 @@ class _Packed:
                 self._version, pixels = self._native()
                 sent = None if self._sent is None else partial(self._sent, self._version)
                 numbered = {"X-Version": str(self._version)}
-                packed = image_bytes(pixels, "PNG", compress_level=0)
-                self._answer = Answer(packed, "image/png", headers=numbered, sent=sent)
+                self._answer = Answer(stored_png(pixels), "image/png", headers=numbered, sent=sent)
             return self._answer
 
 

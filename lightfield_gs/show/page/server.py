@@ -62,7 +62,7 @@ class Answer:
         sent: Called when the last byte of a GET is on its way.
     """
 
-    body: bytes
+    body: bytes | memoryview
     type: str
     status: int = 200
     headers: dict[str, str] = field(default_factory=dict)

@@ -16,6 +16,7 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.weave_geometry import Fan, find_window
+from lightfield_gs.io.png import stored_png
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.show.page.server import (
     Answer,
@@ -29,7 +30,6 @@ from lightfield_gs.show.page.server import (
     text,
 )
 from lightfield_gs.show.playlist import Playlist, Slide
-from lightfield_gs.show.preview import image_bytes
 
 _MOST_PACKED = 3  # pictures that are kept: the one that is shown, and its neighbours
 _AHEAD = 3  # frames that are read before they are asked for
@@ -163,7 +163,7 @@ class _PackedSlides:
                 if slide.is_film:
                     raise InputError("n must be a picture")
                 pixels = self._picture(slide)
-                self._kept[index] = Answer(image_bytes(pixels, "PNG", compress_level=0), "image/png")
+                self._kept[index] = Answer(stored_png(pixels), "image/png")
             self._kept.move_to_end(index)
             while len(self._kept) > _MOST_PACKED:
                 self._kept.popitem(last=False)
