@@ -16,16 +16,20 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import CELL_ROWS, CELL_RULES, SUBPIXEL_ORDERS
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig, lenticular_camera
-from lightfield_gs.rasterizer.direct import draw_sub_pixels, sub_pixel_gradients
+from lightfield_gs.rasterizer.direct import (
+    DrawnImage,
+    SceneArguments,
+    draw_sub_pixels,
+    fake_sub_pixel_gradients,
+    sub_pixel_gradients,
+)
 from lightfield_gs.rasterizer.operators import operator_schema, register_operator
 
 
 class EncodeArguments(NamedTuple):
-    """The arguments of encode_direct.
+    """The arguments of encode_direct behind those of the scene.
 
     Attributes:
-        means, quaternions, scales, opacities, sh: Of one scene, [N, ...].
-        background: [3].
         world_to_camera: [4, 4] float64, of the rig, on the CPU.
         numbers: [11] float64 on the CPU: the panel's line_number, slant_tan, phase and cone_deg, the rig's focal_px,
             principal_point_px, zero_depth and cone_deg (NaN: the panel's), and view_filter.
@@ -36,12 +40,6 @@ class EncodeArguments(NamedTuple):
         antialiased: See encode.
     """
 
-    means: Tensor
-    quaternions: Tensor
-    scales: Tensor
-    opacities: Tensor
-    sh: Tensor
-    background: Tensor
     world_to_camera: Tensor
     numbers: Tensor
     width_px: int
@@ -57,7 +55,11 @@ class EncodeArguments(NamedTuple):
     antialiased: bool
 
     def for_render_direct(self) -> tuple[Any, ...]:
-        """Return the arguments of render_direct. Raises InputError for values that no panel or rig has."""
+        """Return the arguments of render_direct behind those of the scene.
+
+        Raises:
+            InputError: no panel or rig has these values.
+        """
         line_number, slant_tan, phase, panel_cone, fx, fy, cx, cy, depth, cone, view_filter = self.numbers.tolist()
         rows = iter(self.cells)
         points = list(zip(rows, rows))
@@ -78,40 +80,38 @@ class EncodeArguments(NamedTuple):
         )
         own_cone = None if math.isnan(cone) else cone
         rig = Rig(self.world_to_camera.numpy(), (fx, fy), (cx, cy), depth, own_cone)
-        return (*self[:6], *lenticular_camera(panel, rig, self.continuous, view_filter).numbers(), self.antialiased)
+        return (*lenticular_camera(panel, rig, self.continuous, view_filter).numbers(), self.antialiased)
 
 
-class _Drawn(NamedTuple):
-    image: Tensor
-    g_image: Tensor
+_SCENE = len(SceneArguments._fields)
+_COUNT = _SCENE + len(EncodeArguments._fields)
 
 
-_COUNT = len(EncodeArguments._fields)
+def _for_render_direct(arguments: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the arguments of render_direct, and what follows those of encode_direct."""
+    lens = EncodeArguments(*arguments[_SCENE:_COUNT]).for_render_direct()
+    return (*arguments[:_SCENE], *lens, *arguments[_COUNT:])
 
 
 def _draw(*arguments: Any) -> Tensor:
-    return draw_sub_pixels(*EncodeArguments(*arguments).for_render_direct())
+    return draw_sub_pixels(*_for_render_direct(arguments))
 
 
 def _fake(*arguments):
-    given = EncodeArguments(*arguments)
-    return given.means.new_empty((given.height_px, given.width_px, 3))
+    given = EncodeArguments(*arguments[_SCENE:])
+    return arguments[0].new_empty((given.height_px, given.width_px, 3))
 
 
 def _gradients(*arguments: Any) -> tuple[Tensor, ...]:
     """Return the gradients of the first six arguments. arguments: also the image, and the gradient of that."""
-    return sub_pixel_gradients(*EncodeArguments(*arguments[:_COUNT]).for_render_direct(), *arguments[_COUNT:])
-
-
-def _fake_gradients(*arguments):
-    return tuple(torch.empty_like(t, memory_format=torch.contiguous_format) for t in arguments[:6])
+    return sub_pixel_gradients(*_for_render_direct(arguments))
 
 
 _encode_direct_backward = register_operator(
     "encode_direct_backward",
-    operator_schema(EncodeArguments, _Drawn, outputs=6),
+    operator_schema(SceneArguments, EncodeArguments, DrawnImage, outputs=6),
     _gradients,
-    _fake_gradients,
+    fake_sub_pixel_gradients,
     batches=False,
 )
 
@@ -128,7 +128,13 @@ def _backward(ctx, grad):
 
 
 _encode_direct = register_operator(
-    "encode_direct", operator_schema(EncodeArguments, outputs=1), _draw, _fake, _setup_context, _backward, batches=False
+    "encode_direct",
+    operator_schema(SceneArguments, EncodeArguments, outputs=1),
+    _draw,
+    _fake,
+    _setup_context,
+    _backward,
+    batches=False,
 )
 
 

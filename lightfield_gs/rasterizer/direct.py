@@ -122,8 +122,8 @@ class DirectRender:
         return [g.squeeze(0) for g in fields], parts.sum(0)
 
 
-class _SceneArguments(NamedTuple):
-    """The first arguments of the operators; all float32, or on the CPU all float64.
+class SceneArguments(NamedTuple):
+    """The first arguments of the operators of light-field images; all float32, or on the CPU all float64.
 
     Attributes:
         means: [N, 3].
@@ -146,18 +146,18 @@ class _Options(NamedTuple):
     antialiased: bool = False
 
 
-class _Drawn(NamedTuple):
+class DrawnImage(NamedTuple):
     image: Tensor
     g_image: Tensor
 
 
-_CAMERA = len(_SceneArguments._fields)  # where CameraNumbers begin among the arguments
+_CAMERA = len(SceneArguments._fields)  # where CameraNumbers begin among the arguments
 _OPTIONS = _CAMERA + len(CameraNumbers._fields)
 
 
 def _unpack(arguments: tuple[Any, ...]) -> DirectRender:
     """Return the render of an operator's arguments."""
-    scene, camera = _SceneArguments(*arguments[:_CAMERA]), CameraNumbers(*arguments[_CAMERA:_OPTIONS])
+    scene, camera = SceneArguments(*arguments[:_CAMERA]), CameraNumbers(*arguments[_CAMERA:_OPTIONS])
     options = _Options(*arguments[_OPTIONS : _OPTIONS + 1])
     return DirectRender(scene[:5], scene.background, LenticularCamera.from_numbers(camera), options.antialiased)
 
@@ -169,7 +169,7 @@ def draw_sub_pixels(*arguments: Any) -> Tensor:
     offset_start + offset_step * x. lightfield_gs.encode makes the arguments from a Panel and a Rig.
 
     Args:
-        arguments: of _SceneArguments, CameraNumbers and _Options.
+        arguments: of SceneArguments, CameraNumbers and _Options.
 
     Raises:
         InputError: for arguments of other shapes, types or values.
@@ -187,19 +187,20 @@ def sub_pixel_gradients(*arguments: Any) -> tuple[Tensor, ...]:
 
     arguments: of render_direct, then its image and the gradient of that.
     """
-    fields, background = _unpack(arguments).backward(*_Drawn(*arguments[_OPTIONS + 1 :]))
+    fields, background = _unpack(arguments).backward(*DrawnImage(*arguments[_OPTIONS + 1 :]))
     return (*fields, background)
 
 
-def _fake_gradients(*arguments):
+def fake_sub_pixel_gradients(*arguments):
+    """Return tensors of the shapes of sub_pixel_gradients."""
     return tuple(torch.empty_like(t, memory_format=torch.contiguous_format) for t in arguments[:_CAMERA])
 
 
 render_direct_backward = register_operator(
     "render_direct_backward",
-    operator_schema(_SceneArguments, CameraNumbers, _Options, _Drawn, outputs=6, defaults=False),
+    operator_schema(SceneArguments, CameraNumbers, _Options, DrawnImage, outputs=6, defaults=False),
     sub_pixel_gradients,
-    _fake_gradients,
+    fake_sub_pixel_gradients,
     batches=False,
 )
 
@@ -217,7 +218,7 @@ def _backward(ctx, grad):
 
 render_direct = register_operator(
     "render_direct",
-    operator_schema(_SceneArguments, CameraNumbers, _Options, outputs=1),
+    operator_schema(SceneArguments, CameraNumbers, _Options, outputs=1),
     draw_sub_pixels,
     _fake,
     _setup_context,
