@@ -1,10 +1,11 @@
 """Two eyes before a panel whose positions are known: the lens that parts their pictures, and their cameras.
 
-An eye reaches the sub-pixel with the lens coordinate D through the point a(D) on its lens, which `simulate` states; a
-is linear in D. The lens lights the sub-pixel for this eye where frac(a) = 1/2. A sub-pixel is to show the picture of the
-eye that it lights more: the eye whose a is nearer to 1/2, round the lens. The border lies midway between the eyes:
-with a = (a_left + a_right)/2, the right eye has the sub-pixels with frac(a) < 1/2, and the left eye has the others.
-That is a panel of two views. Its line number and its phase follow the eyes: 1/slope and the shift of a.
+An eye reaches the sub-pixel with the lens coordinate D through the point a(D) on its lens, which `simulate` states. The
+lens lights the sub-pixel for this eye where frac(a) = 1/2; a is linear in D. A sub-pixel is to show the picture of the
+eye that it lights more: the eye whose a is nearer to 1/2, round the lens. The border lies midway between the eyes. With
+a = (a_left + a_right)/2, the right eye has the sub-pixels with frac(a) < 1/2, and the left eye has the others.
+
+That is a panel of two views. Its line number and its phase follow the eyes: 1/slope, and the shift of a.
 """
 
 from __future__ import annotations
