@@ -18,7 +18,7 @@ from lightfield_gs.app.options import LookOptions, PanelOptions, PhotoOptions, R
 from lightfield_gs.app.panel import connected_position, load_panel, where_to_show
 from lightfield_gs.app.scene import check_photo_options
 from lightfield_gs.app.video import DEFAULT_FPS
-from lightfield_gs.base.cli_messages import as_options, capturable_streams, say, say_next
+from lightfield_gs.base.cli_messages import as_options, capturable_streams, say, say_next, say_now
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import CodecName, QualityName, Views
 from lightfield_gs.commands.options.parser import read_options
@@ -98,11 +98,11 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
         codec = choose_codec(options.output, "native", options.codec)
         recording = Recording(options.output, panel, fps, codec, health)
         outs.append(recording)
-    reader = Reader(source, health.has_taken, _say_now)
+    reader = Reader(source, health.has_taken, say_now)
     scenes = LiveScenes(source, options.photo, options.render, options.look, panel, device.torch, detail, health)
     reader.start()
     stack.callback(reader.stop)
-    _say_now(f"{source.name}: waiting for its first picture")
+    say_now(f"{source.name}: waiting for its first picture")
     try:
         with torch.inference_mode():
             scenes.settle(iter(reader.newest))
@@ -155,12 +155,6 @@ def _check(options: LiveOptions) -> None:
         check_outputs((options.output,), (options.source,))
 
 
-def _say_now(line: str) -> None:
-    """Print a line at once."""
-    say(line)
-    print(end="", flush=True)
-
-
 def _opener(options: LiveOptions, panel: Panel, stack: ExitStack) -> Callable[[str], object]:
     """Return what opens the page: a browser of its own on the display where that is found, else the usual one."""
     position = None if options.serving.no_open else connected_position()
@@ -202,6 +196,6 @@ class _End:
                 end_serving()
                 return
             span = self._health.take()
-            _say_now(span.line())
+            say_now(span.line())
             if (words := self._detail.adapt(span)) is not None:
-                _say_now(words)
+                say_now(words)

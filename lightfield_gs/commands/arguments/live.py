@@ -6,12 +6,14 @@ from pathlib import Path
 
 from lightfield_gs.base.options import QUALITY_NAMES, VIEWS
 from lightfield_gs.commands.options import groups
+from lightfield_gs.commands.options.eyes import add_eyes
 from lightfield_gs.commands.options.groups import in_group, rarely
 from lightfield_gs.commands.options.messages import add_quiet
 from lightfield_gs.commands.options.panel import add_drawing_device, add_look, add_panel, add_rendering
 from lightfield_gs.commands.options.parser import Parser, whole, within
 from lightfield_gs.commands.options.scene import add_photo
 from lightfield_gs.commands.options.serving import add_serving
+from lightfield_gs.commands.options.stereo import add_viewer
 from lightfield_gs.commands.options.video import add_codec, add_fps
 
 
@@ -60,6 +62,8 @@ def add_arguments(parser: Parser) -> None:
         "when they become fewer)",
     )
     add_panel(parser.add_argument, "for framing")
+    add_eyes(parser.add_argument)
+    add_viewer(in_group(rarely(parser.add_argument), groups.TRACKING), "--eyes")
     add_look(parser.add_argument)
     add_photo(parser.add_argument, "cut the object out of each picture with rembg, as `encode` does")
     add = in_group(parser.add_argument, groups.DRAWING)
