@@ -231,7 +231,7 @@ def gradients(
     return {**dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values())))), "image": image.detach()}
 
 
-# Panel (None: colours are on circles), SH degree, and options of encode; of gradients to the numbers of panel and rig
+# Panel (None: half of the colours are on circles), SH degree, and options of encode; of gradients to optics
 OPTICS: list[tuple[str | None, int, dict[str, Any]]] = [
     ("default", 0, {}),
     ("cells", 3, {}),
