@@ -347,6 +347,8 @@ def project_images_backward(
     if views is None:
         return out, scene.new(0, request.pose_rows, 4), scene.new(0, _core.CAMERA_OPTICS), screen
     pose, motion, optics = views.sum(1).split(parts, -1)
+    if not request.optics:
+        optics = scene.new(0, _core.CAMERA_OPTICS)
     rows = functional.pad(pose.view(-1, 3, 4), (0, 0, 0, 1)), functional.pad(motion.view(images, -1, 3), (0, 1))
     return out, torch.cat(rows, 1), optics, screen
 
