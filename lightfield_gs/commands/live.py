@@ -8,14 +8,15 @@ import time
 import webbrowser
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import torch
 
 from lightfield_gs.app.options import LookOptions, PanelOptions, PhotoOptions, RenderOptions
-from lightfield_gs.app.panel import connected_position, load_panel, where_to_show
+from lightfield_gs.app.panel import BROWSER_OPENS, connected_position, load_panel, where_to_show
 from lightfield_gs.app.scene import check_photo_options
 from lightfield_gs.app.video import DEFAULT_FPS
 from lightfield_gs.base.cli_messages import as_options, capturable_streams, say, say_next, say_now
@@ -26,14 +27,18 @@ from lightfield_gs.commands.options.serving import ServingOptions, serve
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.live.detail import Detail
 from lightfield_gs.live.health import Health
-from lightfield_gs.live.outs import Out, PageOut, Recording
-from lightfield_gs.live.pipeline import Pipeline
+from lightfield_gs.live.outs import Out
+from lightfield_gs.live.page import PageOut
+from lightfield_gs.live.pipeline import Drawing, Pipeline
 from lightfield_gs.live.reader import Reader
+from lightfield_gs.live.recording import Recording
 from lightfield_gs.live.scenes import LiveScenes
 from lightfield_gs.live.sources import open_source
+from lightfield_gs.live.window import WindowOut
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.photo.side_by_side import is_rgbd_name
 from lightfield_gs.show.display_browser import DisplayBrowser, find_browser
+from lightfield_gs.show.window.native_window import NativeWindow
 from lightfield_gs.video.rendering import FrameOptions, NativeRenderer
 from lightfield_gs.video.video_file import choose_codec
 from lightfield_gs.webgpu.devices import choose_drawing_device
@@ -54,6 +59,7 @@ class LiveOptions:
 
     Attributes:
         source: As `open_source` takes it.
+        window: Whether a window shows it, in place of the page.
         output: Of the recording. None: nothing is recorded.
         loop: Whether a film begins again.
         seconds: After which it ends. None: at Ctrl-C, or at the end of a film.
@@ -67,6 +73,7 @@ class LiveOptions:
     photo: PhotoOptions
     render: RenderOptions
     serving: ServingOptions
+    window: bool = False
     output: Path | None = None
     codec: CodecName | None = None
     loop: bool = False
@@ -91,8 +98,8 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     panel = load_panel(options.panel)
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
     health, detail = Health(), Detail(float(fps), options.pixels)
-    page = PageOut(panel, health)
-    outs: list[Out] = [page]
+    front = _window(panel, options, health, stack) if options.window else _page(panel, options, health, stack)
+    outs: list[Out] = [front.out]
     recording = None
     if options.output is not None:
         codec = choose_codec(options.output, "native", options.codec)
@@ -115,19 +122,20 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     height, width = detail.size_px
     say(f"{source.name}: {width} x {height}, on panel {panel.name}", *device.messages, *scenes.messages)
     health.take()  # the start is no part of how it fares
-    end = _End(health, detail, options.seconds)
-    pipeline = Pipeline(reader, scenes, NativeRenderer(panel, drawing, False), outs, health, end.now)
+    end = _End(health, detail, options.seconds, front.hint)
+    drawings = [Drawing(NativeRenderer(panel, drawing, False), scenes.rig, outs)]
+    pipeline = Pipeline(reader, scenes, drawings, health, end.now)
     if recording is not None:
         recording.begin()
         stack.callback(recording.end)
     began = time.monotonic()
 
-    def start(end_serving: Callable[[], None]) -> None:
+    def start(end_front: Callable[[], None]) -> None:
         pipeline.start()
-        end.start(end_serving)
+        end.start(end_front)
 
     try:
-        serve(options.serving, page.routes(), "/panel", _opener(options, panel, stack), start)
+        front.run(start)
     finally:
         end.now()
         pipeline.stop()
@@ -151,20 +159,59 @@ def _check(options: LiveOptions) -> None:
     has_pair = photo.stereo_in not in (None, "none")
     is_deep = photo.depth is not None or photo.rgbd is not None or has_pair or is_rgbd_name(Path(options.source))
     check_photo_options(photo, is_deep)
+    if options.window and replace(options.serving, no_open=False) != ServingOptions():
+        raise InputError("--window takes the place of the page, of which --host and --port are; leave them out")
     if options.output is not None:
         check_outputs((options.output,), (options.source,))
 
 
-def _opener(options: LiveOptions, panel: Panel, stack: ExitStack) -> Callable[[str], object]:
-    """Return what opens the page: a browser of its own on the display where that is found, else the usual one."""
-    position = None if options.serving.no_open else connected_position()
+@dataclass(frozen=True)
+class _Front:
+    """What shows the picture to who sits here, and what the main thread does meanwhile.
+
+    Attributes:
+        out: Takes the pictures.
+        hint: Words of the health line where nobody takes the pictures.
+        run: Calls its argument with what ends it, from any thread; returns at the end, or at Ctrl-C.
+    """
+
+    out: Out
+    hint: str
+    run: Callable[[Callable[[Callable[[], None]], None]], None]
+
+
+def _window(panel: Panel, options: LiveOptions, health: Health, stack: ExitStack) -> _Front:
+    """Return the window. Raises InputError."""
+    position = connected_position()
+    window = NativeWindow((panel.width_px, panel.height_px), position, say_now)
+    stack.callback(window.close)
     if options.panel.panel is None:
-        say(*where_to_show(panel, is_opened_there=position is not None and find_browser() is not None))
-    if position is None or find_browser() is None:
-        return webbrowser.open
-    browser = DisplayBrowser(position, (panel.width_px, panel.height_px))
-    stack.callback(browser.close)
-    return browser.open
+        say(*where_to_show(panel, "the window opens there"))
+    out, is_over = WindowOut(window, health), threading.Event()
+
+    def run(start: Callable[[Callable[[], None]], None]) -> None:
+        window.open()
+        start(is_over.set)
+        try:
+            out.run(is_over)
+        except KeyboardInterrupt:
+            print("\nended")
+
+    return _Front(out, "", run)
+
+
+def _page(panel: Panel, options: LiveOptions, health: Health, stack: ExitStack) -> _Front:
+    """Return the page, which a browser of its own shows on the display where that is found, else the usual one."""
+    page = PageOut(panel, health)
+    position = None if options.serving.no_open else connected_position()
+    has_browser = position is not None and find_browser() is not None
+    if options.panel.panel is None:
+        say(*where_to_show(panel, BROWSER_OPENS if has_browser else None))
+    browser = DisplayBrowser(position, (panel.width_px, panel.height_px)) if has_browser else None
+    if browser is not None:
+        stack.callback(browser.close)
+    opened = webbrowser.open if browser is None else browser.open
+    return _Front(page, " (is the page open?)", partial(serve, options.serving, page.routes(), "/panel", opened))
 
 
 class _End:
@@ -174,10 +221,11 @@ class _End:
         health: What is said.
         detail: Adapted to it.
         seconds: After which it ends. None: never.
+        hint: See Span.line.
     """
 
-    def __init__(self, health: Health, detail: Detail, seconds: float | None):
-        self._health, self._detail, self._seconds = health, detail, seconds
+    def __init__(self, health: Health, detail: Detail, seconds: float | None, hint: str):
+        self._health, self._detail, self._seconds, self._hint = health, detail, seconds, hint
         self._is_over = threading.Event()
 
     def start(self, end_serving: Callable[[], None]) -> None:
@@ -196,6 +244,6 @@ class _End:
                 end_serving()
                 return
             span = self._health.take()
-            say_now(span.line())
+            say_now(span.line(self._hint))
             if (words := self._detail.adapt(span)) is not None:
                 say_now(words)

@@ -4,46 +4,55 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
-import numpy as np
 import torch
+from torch import Tensor
 
-from lightfield_gs.base.device import to_numpy
 from lightfield_gs.live.health import Health
-from lightfield_gs.live.outs import Out
+from lightfield_gs.live.outs import Drawn, Out
 from lightfield_gs.live.reader import Reader
 from lightfield_gs.live.scenes import LiveScenes
 from lightfield_gs.live.slot import Slot
 from lightfield_gs.live.sources import Frame
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.video.rendering import FrameRenderer
 
 
+@dataclass(frozen=True)
+class Drawing:
+    """A kind of picture that is drawn of each scene.
+
+    Attributes:
+        draw: Draws it, into memory that is the picture's own.
+        rig: By which it is drawn.
+        outs: Where it goes.
+    """
+
+    draw: FrameRenderer
+    rig: Rig
+    outs: Sequence[Out]
+
+
 class Pipeline:
-    """Turns the pictures of a source into those of the panel, until the source ends or `stop` is called.
+    """Turns the pictures of a source into those that are shown, until the source ends or `stop` is called.
 
     Args:
         reader: Reads the source; it has begun.
         scenes: Makes the scenes; it is settled.
-        draw: Draws the panel's picture.
-        outs: Where it goes.
+        drawings: What is drawn.
         health: Counts.
         ended: Called once, from one of the threads, when the last picture is out.
     """
 
     def __init__(
-        self,
-        reader: Reader,
-        scenes: LiveScenes,
-        draw: FrameRenderer,
-        outs: Sequence[Out],
-        health: Health,
-        ended: Callable[[], None],
+        self, reader: Reader, scenes: LiveScenes, drawings: Sequence[Drawing], health: Health, ended: Callable[[], None]
     ):
-        self._reader, self._scenes, self._draw, self._outs = reader, scenes, draw, outs
-        self._health, self._ended = health, ended
+        self._reader, self._scenes, self._drawings = reader, scenes, drawings
+        self._health = health
         self._drawable: Slot[tuple[Frame, Gaussians]] = Slot()
-        self._drawn: Slot[tuple[Frame, np.ndarray]] = Slot()
+        self._drawn: Slot[tuple[Frame, list[Drawn]]] = Slot()
         self._failed: BaseException | None = None
         self._threads = [
             threading.Thread(target=self._run, args=(name, work, after), name=name, daemon=True)
@@ -88,11 +97,19 @@ class Pipeline:
     def _encode(self) -> None:
         for frame, gaussians in self._drawable:
             with self._health.busy("encode"):
-                pixels = to_numpy(self._draw(gaussians, self._scenes.rig, frame.number))
+                drawn = [Drawn(_finished(one.draw(gaussians, one.rig, frame.number))) for one in self._drawings]
             self._health.has_drawn()
-            self._drawn.put((frame, pixels))
+            self._drawn.put((frame, drawn))
 
     def _put_out(self) -> None:
-        for frame, pixels in self._drawn:
-            for out in self._outs:
-                out.put(frame, pixels)
+        for frame, drawn in self._drawn:
+            for drawing, picture in zip(self._drawings, drawn):
+                for out in drawing.outs:
+                    out.put(frame, picture)
+
+
+def _finished(image: Tensor) -> Tensor:
+    """Return an image once its device has drawn it."""
+    if image.is_cuda:
+        torch.cuda.current_stream(image.device).synchronize()
+    return image

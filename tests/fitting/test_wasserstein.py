@@ -174,7 +174,11 @@ def test_a_fit_by_it_goes_on_by_it(capture, tmp_path, weights_file, capsys):
     lf.fit(capture, **QUICK, folder=folder, stop=lambda: True)
     with pytest.raises(InputError, match="loss was 'wd' and is 'l1-ssim'"):
         lf.fit(capture, **{**QUICK, "loss": "l1-ssim"}, folder=folder)
-    stopped, whole = lf.fit(capture, **QUICK, folder=folder), lf.fit(capture, **{**QUICK, "progress": True})
+    seen, watch = [], dict(callback=lambda state: seen.append(state.gaussians.means), callback_every=1)
+    stopped, whole = lf.fit(capture, **QUICK, folder=folder), lf.fit(capture, **{**QUICK, "progress": True}, **watch)
+    lf.fit(capture, **{**QUICK, "loss": "l1-ssim"}, **watch)
+    steps = [torch.equal(one, other) for one, other in zip(seen[:3], seen[3:])]
+    assert len(seen) == 6 and steps == [True, True, False]  # texture counts in the second half
     assert torch.equal(stopped.gaussians.means, whole.gaussians.means) and whole.settings.loss == "wd"
     assert "loss: WD-R" in capsys.readouterr().out
 

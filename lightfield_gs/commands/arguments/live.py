@@ -20,7 +20,7 @@ from lightfield_gs.commands.options.video import add_codec, add_fps
 def add_arguments(parser: Parser) -> None:
     """Add the arguments of `lightfield-gs live`."""
     parser.description = "Show a camera, the screen, a stream or a film on the 3D display, while it happens."
-    parser.epilog = "A browser shows it on the display. A line a second says how it fares. Ctrl-C ends it."
+    parser.epilog = "A browser or a window shows it on the display. A line a second says how it fares. Ctrl-C ends it."
     parser.text.examples = (
         ("live camera:0 --depth auto", "a camera, whole, in depth"),
         ("live camera:0 --remove-background", "who sits before it, alone"),
@@ -44,6 +44,13 @@ def add_arguments(parser: Parser) -> None:
         help="record the picture of the panel, without loss: .mkv, .mp4 or .mov, which `show` plays",
     )
     add_codec(add, "of the recording: h264-rgb (default of .mp4 and .mov) or ffv1 (default of .mkv)")
+    add(
+        "--window",
+        action="store_true",
+        short="a window on the display in place of the browser",
+        help="show it in a window over the display's whole screen in place of the browser: at the screen's own rate, "
+        "and from CUDA without a copy through the host (pip install 'lightfield-gs[window]'). Escape or Q ends it",
+    )
     add = in_group(parser.add_argument, groups.MOTION)
     add("--loop", action="store_true", short="begin a film again at its end", help="begin a video again at its end")
     add(
