@@ -25,6 +25,7 @@ from lightfield_gs.commands.options.parser import read_options
 from lightfield_gs.commands.options.serving import ServingOptions, serve
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.live.detail import Detail
+from lightfield_gs.live.drawing import LiveRenderer
 from lightfield_gs.live.health import Health
 from lightfield_gs.live.outs import Out, PageOut, Recording
 from lightfield_gs.live.pipeline import Pipeline
@@ -34,7 +35,7 @@ from lightfield_gs.live.sources import open_source
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.photo.side_by_side import is_rgbd_name
 from lightfield_gs.show.display_browser import DisplayBrowser, find_browser
-from lightfield_gs.video.rendering import FrameOptions, NativeRenderer
+from lightfield_gs.video.rendering import FrameOptions
 from lightfield_gs.video.video_file import choose_codec
 from lightfield_gs.webgpu.devices import choose_drawing_device
 
@@ -58,7 +59,9 @@ class LiveOptions:
         loop: Whether a film begins again.
         seconds: After which it ends. None: at Ctrl-C, or at the end of a film.
         fps: Frames a second that are to be held.
-        pixels: Of a picture, at most. None: as many as hold the rate.
+        pixels: Of a picture, at most. None: as many as hold the rate, and no more than the panel shows.
+        quality: Of the drawing. None: exact, or fast where that is too slow.
+        remember: Whether what was seen behind things stays, while the camera stands still.
     """
 
     source: str
@@ -73,8 +76,9 @@ class LiveOptions:
     seconds: float | None = None
     fps: Fraction | None = None
     pixels: int | None = None
+    remember: bool = True
     views: Views = "integer"
-    quality: QualityName = "exact"
+    quality: QualityName | None = None
     device: str = "auto"
 
 
@@ -90,7 +94,7 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     source = open_source(options.source, float(fps), options.loop)
     panel = load_panel(options.panel)
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
-    health, detail = Health(), Detail(float(fps), options.pixels)
+    health, detail = Health(), Detail(float(fps), options.pixels, options.quality)
     page = PageOut(panel, health)
     outs: list[Out] = [page]
     recording = None
@@ -99,7 +103,8 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
         recording = Recording(options.output, panel, fps, codec, health)
         outs.append(recording)
     reader = Reader(source, health.has_taken, _say_now)
-    scenes = LiveScenes(source, options.photo, options.render, options.look, panel, device.torch, detail, health)
+    taken = options.photo, options.render, options.look, panel, device.torch, detail, health
+    scenes = LiveScenes(source, *taken, options.remember)
     reader.start()
     stack.callback(reader.stop)
     _say_now(f"{source.name}: waiting for its first picture")
@@ -110,13 +115,13 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
         raise reader.failed or error from None
     how = scenes.drawn_as
     drawing = FrameOptions(
-        options.views, how.background, options.quality, how.antialiased, how.view_filter, device.webgpu
+        options.views, how.background, detail.quality, how.antialiased, how.view_filter, device.webgpu
     )
     height, width = detail.size_px
     say(f"{source.name}: {width} x {height}, on panel {panel.name}", *device.messages, *scenes.messages)
     health.take()  # the start is no part of how it fares
     end = _End(health, detail, options.seconds)
-    pipeline = Pipeline(reader, scenes, NativeRenderer(panel, drawing, False), outs, health, end.now)
+    pipeline = Pipeline(reader, scenes, LiveRenderer(panel, drawing, detail), outs, health, end.now)
     if recording is not None:
         recording.begin()
         stack.callback(recording.end)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 
-import numpy as np
 import torch
+from torch import Tensor
 
-from lightfield_gs.base.device import to_numpy
+from lightfield_gs.base.device import finished_to_numpy
 from lightfield_gs.live.health import Health
 from lightfield_gs.live.outs import Out
 from lightfield_gs.live.reader import Reader
@@ -25,7 +25,7 @@ class Pipeline:
     Args:
         reader: Reads the source; it has begun.
         scenes: Makes the scenes; it is settled.
-        draw: Draws the panel's picture.
+        draw: Draws the panel's picture, which is finished then, into memory of its own.
         outs: Where it goes.
         health: Counts.
         ended: Called once, from one of the threads, when the last picture is out.
@@ -43,7 +43,7 @@ class Pipeline:
         self._reader, self._scenes, self._draw, self._outs = reader, scenes, draw, outs
         self._health, self._ended = health, ended
         self._drawable: Slot[tuple[Frame, Gaussians]] = Slot()
-        self._drawn: Slot[tuple[Frame, np.ndarray]] = Slot()
+        self._drawn: Slot[tuple[Frame, Tensor]] = Slot()
         self._failed: BaseException | None = None
         self._threads = [
             threading.Thread(target=self._run, args=(name, work, after), name=name, daemon=True)
@@ -88,11 +88,12 @@ class Pipeline:
     def _encode(self) -> None:
         for frame, gaussians in self._drawable:
             with self._health.busy("encode"):
-                pixels = to_numpy(self._draw(gaussians, self._scenes.rig, frame.number))
+                image = self._draw(gaussians, self._scenes.rig, frame.number)
             self._health.has_drawn()
-            self._drawn.put((frame, pixels))
+            self._drawn.put((frame, image))
 
     def _put_out(self) -> None:
-        for frame, pixels in self._drawn:
+        for frame, image in self._drawn:
+            pixels = finished_to_numpy(image)
             for out in self._outs:
                 out.put(frame, pixels)
