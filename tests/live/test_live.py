@@ -32,7 +32,7 @@ from lightfield_gs.live.detail import Detail
 from lightfield_gs.live.health import Health, Span
 from lightfield_gs.live.outs import Drawn
 from lightfield_gs.live.page import PageOut
-from lightfield_gs.live.pipeline import Drawing, Pipeline
+from lightfield_gs.live.pipeline import Pipeline
 from lightfield_gs.live.reader import Reader
 from lightfield_gs.live.scenes import LiveScenes
 from lightfield_gs.live.sources import Frame
@@ -60,8 +60,8 @@ def shown(source, health: Health, page: PageOut, outs=()) -> Iterator[threading.
         scenes = scenes_of(source, PhotoOptions(depth=FLAT), health)
         reader.start()
         scenes.settle(iter(reader.newest))
-        drawing = Drawing(NativeRenderer(PANEL, WHITE, False), scenes.rig, [page, *outs])
-        pipeline = Pipeline(reader, scenes, [drawing], health, over.set)
+        drawer = NativeRenderer(PANEL, WHITE, False)
+        pipeline = Pipeline(reader, scenes, drawer, [page, *outs], health, over.set)
         pipeline.start()
         try:
             yield over
