@@ -73,14 +73,14 @@ def load_lpips(device: str, from_zero: bool = False) -> tuple[Lpips | None, str]
     Returns:
         A function of [3,H,W] in 0..1 twice, 0 for equal images; None where it is not there, with a line printed.
     """
-    weights = vgg16.weights_path()
+    weights = vgg16.WEIGHTS.path
     try:
         import lpips
     except (ImportError, RuntimeError, OSError) as error:
-        options.progress(f"no LPIPS ({error}): pip install lpips, and save {vgg16.URL} as {weights}")
+        options.progress(f"no LPIPS ({error}): pip install lpips, and save {vgg16.WEIGHTS.url} as {weights}")
         return None, "no LPIPS"
     if not weights.is_file():
-        options.progress(f"no LPIPS: the weights of VGG-16 are missing: save {vgg16.URL} as {weights}")
+        options.progress(f"no LPIPS: the weights of VGG-16 are missing: save {vgg16.WEIGHTS.url} as {weights}")
         return None, "no LPIPS"
     network = lpips.LPIPS(net="vgg", verbose=False).to(device).eval()
 

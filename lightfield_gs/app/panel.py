@@ -177,6 +177,11 @@ def shown_panel(image: Path, device_serial: str | None) -> Panel:
     return stored_panel(image, device_serial)
 
 
+def is_display_connected() -> bool:
+    """Return whether a display with lenses is connected."""
+    return _connected(None) is not None
+
+
 def connected_position() -> tuple[int, int] | None:
     """Return the left and top edge of the connected display on the desktop; None where none is known."""
     display = _connected(None)

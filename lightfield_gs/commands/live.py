@@ -16,7 +16,7 @@ import torch
 from lightfield_gs.app.options import LookOptions, PanelOptions, PhotoOptions, RenderOptions
 from lightfield_gs.app.scene import check_photo_options
 from lightfield_gs.app.video import DEFAULT_FPS
-from lightfield_gs.base.cli_messages import as_options, capturable_streams, say, say_next
+from lightfield_gs.base.cli_messages import as_options, capturable_streams, say, say_next, say_now
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import QualityName, Views
 from lightfield_gs.commands.live_ways import WayOptions, WaysOut
@@ -81,14 +81,14 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     fps = options.fps or DEFAULT_FPS
     source = open_source(options.source, float(fps), options.loop)
     health, detail = Health(), Detail(float(fps), options.pixels)
-    ways = WaysOut(options.ways, options.panel, fps, health, stack, _say_now)
+    ways = WaysOut(options.ways, options.panel, fps, health, stack, say_now)
     panel = ways.panel
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
-    reader = Reader(source, health.has_taken, _say_now)
+    reader = Reader(source, health.has_taken, say_now)
     scenes = LiveScenes(source, options.photo, options.render, options.look, panel, device.torch, detail, health)
     reader.start()
     stack.callback(reader.stop)
-    _say_now(f"{source.name}: waiting for its first picture")
+    say_now(f"{source.name}: waiting for its first picture")
     try:
         with torch.inference_mode():
             scenes.settle(iter(reader.newest))
@@ -141,12 +141,6 @@ def _check(options: LiveOptions) -> None:
         check_outputs((options.ways.output,), (options.source,))
 
 
-def _say_now(line: str) -> None:
-    """Print a line at once."""
-    say(line)
-    print(end="", flush=True)
-
-
 class _End:
     """Says each second how it fares, and ends the serving after some seconds, or when it is told.
 
@@ -177,6 +171,6 @@ class _End:
                 end_serving()
                 return
             span = self._health.take()
-            _say_now(span.line(self._hint))
+            say_now(span.line(self._hint))
             if (words := self._detail.adapt(span)) is not None:
-                _say_now(words)
+                say_now(words)

@@ -1,4 +1,4 @@
-"""Two pictures for two eyes whose positions are known, woven into the image of a panel (an eye-tracked panel)."""
+"""Pictures for two eyes whose positions are known: woven for a panel with lenses, or one for a plain screen."""
 
 from __future__ import annotations
 
@@ -80,6 +80,39 @@ def encode_eyes(
         render_cameras(gaussians, cameras, background=background, antialiased=antialiased, device=device)
     )
     return weave_eyes(left, right, panel, eyes_mm)
+
+
+@torch.no_grad()
+def render_head_coupled(
+    gaussians: Gaussians,
+    panel: Panel,
+    rig: Rig,
+    eyes_mm: Eyes,
+    *,
+    background: Colour = (1.0, 1.0, 1.0),
+    antialiased: bool = False,
+    device: str | None = None,
+) -> Tensor:
+    """Draw a scene on a plain screen as behind a window, for the middle between two eyes: uint8 [H, W, 3].
+
+    The projection is off-axis: the screen's plane stays where it is as the head moves. (Ware, Arthur & Booth, "Fish
+    tank virtual reality", INTERCHI 1993.)
+
+    Args:
+        gaussians: See encode_eyes, also for all others.
+        panel: Of the screen, whose lens does not count.
+        rig: See there.
+        eyes_mm: See there.
+        background: See there.
+        antialiased: See there.
+        device: See there.
+
+    Raises:
+        InputError: For arguments of other types or values.
+    """
+    cameras = eye_cameras(panel, rig, [np.mean(eyes_mm, 0)])
+    picture = render_cameras(gaussians, cameras, background=background, antialiased=antialiased, device=device)
+    return to_bytes(picture[0])
 
 
 def _upper_half(panel: Panel, device: torch.device) -> Tensor:

@@ -1,11 +1,11 @@
 """Two pictures for two tracked eyes: which eye sees which, by simulate, wherever they are; and the cameras there."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from eye_cases import DISTANCE_MM, PANEL, ZONE_MM, face
 from rasterizer_cases import CELLS
 from test_stereo import balls
 
@@ -15,31 +15,12 @@ from lightfield_gs.panels.simulate import simulate
 from lightfield_gs.panels.tracked_eyes import eye_cameras, eye_crosstalk, panel_for_eyes
 from lightfield_gs.reference.eyes import view_coordinates
 
-DISTANCE_MM, ZONE_MM = 600.0, 126.0  # a zone of two eyes, as panels for tracked eyes have
-PANEL = Panel(
-    360,
-    200,
-    views=2,
-    line_number=8.13,
-    slant_tan=0.17,
-    phase=3.3,
-    cone_deg=2 * math.degrees(math.atan(ZONE_MM / 2 / DISTANCE_MM)),
-    viewing_distance_mm=DISTANCE_MM,
-    pixel_pitch_mm=0.9,
-)
 KINDS = [
     {},
     dict(slant_tan=-0.18, subpixel_order="BGR"),
     dict(invert_views=True),
     dict(subpixel_cells=CELLS, cell_pattern=2, line_number=11.7),
 ]
-
-
-def face(x=0.0, y=0.0, z=DISTANCE_MM, turn_deg=0.0, roll_deg=0.0, apart=63.0) -> np.ndarray:
-    """The left and the right eye of a face, which may be turned about its vertical axis and tilted."""
-    turn, roll = math.radians(turn_deg), math.radians(roll_deg)
-    along = np.array([math.cos(turn) * math.cos(roll), math.sin(roll), math.sin(turn)])
-    return np.array([x, y, z]) + apart / 2 * np.array([-along, along])
 
 
 def crosstalk(panel: Panel, eyes: np.ndarray, seen_from: np.ndarray | None = None) -> float:

@@ -146,7 +146,7 @@ def test_pixels_without_weight_change_nothing():
 def weights_file(tmp_path, monkeypatch):
     """The path of VGG-16's weights in a folder of their own, where there are none yet."""
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
-    path = vgg16.weights_path()
+    path = vgg16.WEIGHTS.path
     path.parent.mkdir(parents=True)
     return path
 
@@ -188,7 +188,9 @@ def test_missing_and_foreign_weights_are_refused(capture, weights_file, monkeypa
         raise urllib.error.URLError("no route to host")
 
     monkeypatch.setattr(torch.hub, "download_url_to_file", offline)
-    with pytest.raises(InputError, match=f"no route to host.*save {vgg16.URL} in the folder {weights_file.parent}"):
+    with pytest.raises(
+        InputError, match=f"no route to host.*save {vgg16.WEIGHTS.url} in the folder {weights_file.parent}"
+    ):
         lf.fit(capture, **QUICK)
     torch.save({"features.0.weight": torch.zeros(64, 3, 3, 3)}, weights_file)
     with pytest.raises(InputError, match=r"expected a tensor features.0.bias \[64\] of VGG-16, got none"):

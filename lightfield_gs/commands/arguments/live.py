@@ -6,6 +6,7 @@ from pathlib import Path
 
 from lightfield_gs.base.options import QUALITY_NAMES, VIEWS
 from lightfield_gs.commands.options import groups
+from lightfield_gs.commands.options.eyes import add_eyes
 from lightfield_gs.commands.options.groups import in_group, rarely
 from lightfield_gs.commands.options.messages import add_quiet
 from lightfield_gs.commands.options.panel import add_drawing_device, add_look, add_panel, add_rendering
@@ -75,8 +76,9 @@ def add_arguments(parser: Parser) -> None:
         "when they become fewer)",
     )
     add_panel(parser.add_argument, "for framing")
+    add_eyes(parser.add_argument)
     add_look(parser.add_argument)
-    add_stereo(rarely(parser.add_argument))
+    add_stereo(rarely(parser.add_argument), "--stereo and --eyes")
     add_photo(parser.add_argument, "cut the object out of each picture with rembg, as `encode` does")
     add = in_group(parser.add_argument, groups.DRAWING)
     add("--views", choices=VIEWS, default="integer", help="as in `encode` (default integer)")
