@@ -56,7 +56,7 @@ class OurFit:
 
 
 def _ours(changes: dict[str, Any], photographs: Photographs, settings: FitSettings) -> Fit:
-    return OurFit(photographs, replace(settings, **changes))
+    return OurFit(photographs, replace(settings, **{"exposure": photographs.exposures_differ} | changes))
 
 
 def _peer(recipe: Recipe, photographs: Photographs, settings: FitSettings) -> Fit:
@@ -76,7 +76,7 @@ PEER_ARMS = {
 WD_ARM = "ours-wd"
 ARMS: dict[str, Callable[[Photographs, FitSettings], Fit]] = {
     "ours": partial(_ours, {}),
-    "ours-exposure": partial(_ours, {"exposure": True}),
+    "ours-no-exposure": partial(_ours, {"exposure": False}),
     "ours-adaptive": partial(_ours, {"density": "adaptive"}),
     WD_ARM: partial(_ours, {"loss": "wd"}),
     **{name: partial(_peer, recipe) for name, recipe in PEER_ARMS.items()},

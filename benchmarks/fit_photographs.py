@@ -9,6 +9,7 @@ import numpy as np
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.bench import options
 from lightfield_gs.fitting.cone import Cone, place_cone
+from lightfield_gs.fitting.exposure_spread import asks_for_exposures, exposure_spread
 from lightfield_gs.fitting.initialization import initialize_gaussians
 from lightfield_gs.fitting.posed_images import Normalization, PosedImages
 from lightfield_gs.fitting.settings import FitSettings
@@ -39,6 +40,7 @@ class Photographs:
         centres: [C,3], of all cameras.
         cone: the panel's cone round the photograph in the middle; None where the capture has no middle.
         inside: whether each of `test` is in the cone.
+        exposures_differ: whether `fit` would find an exposure for each of `train`.
     """
 
     name: str
@@ -49,9 +51,18 @@ class Photographs:
     centres: np.ndarray
     cone: Cone | None
     inside: list[bool]
+    exposures_differ: bool
 
     @classmethod
-    def load(cls, capture: Capture, held_out: list[int], device: str, cone_deg: float, name: str) -> Photographs:
+    def load(
+        cls,
+        capture: Capture,
+        held_out: list[int],
+        device: str,
+        cone_deg: float,
+        name: str,
+        exposures_differ: bool | None = None,
+    ) -> Photographs:
         """Read the photographs of a capture.
 
         Args:
@@ -60,6 +71,7 @@ class Photographs:
             device: of the fits.
             cone_deg: full angle of the cone.
             name: of the capture in rows.
+            exposures_differ: None: by the photographs, as in `fit`.
 
         Raises:
             InputError: a photograph cannot be read.
@@ -70,7 +82,9 @@ class Photographs:
         points, centres = (normalization.points(places) for places in (capture.points, capture.centres))
         cone = _placed(capture, cone_deg)
         inside = [False] * len(held_out) if cone is None else cone.inside[held_out].tolist()
-        return cls(name, train, test, points, capture.colours, centres, cone, inside)
+        if exposures_differ is None:
+            exposures_differ = asks_for_exposures(exposure_spread(capture, fitted))
+        return cls(name, train, test, points, capture.colours, centres, cone, inside, exposures_differ)
 
     def start(self, settings: FitSettings) -> Gaussians:
         """Return the initial Gaussians of a fit, on the device."""

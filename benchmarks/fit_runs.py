@@ -173,7 +173,8 @@ class Runs:
         capture, held_out = source.read(longest_px)
         options.progress(f"{source.folder}: reading {len(capture.names)} photographs")
         cone_deg = self.result["protocol"]["cone_deg"]
-        photographs = Photographs.load(capture, held_out, self._device, cone_deg, source.name)
+        differ = False if source.from_first else None  # published scores have colours as they are
+        photographs = Photographs.load(capture, held_out, self._device, cone_deg, source.name, differ)
         self._describe(describe(photographs, source.folder))
         for arm, settings in wanted:
             for row in rows(photographs, arm, settings, lpips):
@@ -220,6 +221,7 @@ def describe(photographs: Photographs, folder: Path) -> dict[str, Any]:
         "in_cone": [name for name, is_inside in zip(test.names, photographs.inside) if is_inside],
         "width_px": train.width_px,
         "height_px": train.height_px,
+        "exposures_differ": photographs.exposures_differ,
         "masked": train.weights is not None or test.weights is not None,
         "points": len(photographs.points),
     }

@@ -17,11 +17,11 @@ from lightfield_gs.fitting.evaluate import match_colours, render_and_photo, weig
 from lightfield_gs.reference.metrics import gradient_psnr_db
 
 Lpips = Callable[[Tensor, Tensor], float]
-SCORES = ("psnr_db", "cc_psnr_db", "ssim", "lpips", "gradient_psnr_db")
+SCORES = ("psnr_db", "ssim", "cc_psnr_db", "cc_ssim", "lpips", "gradient_psnr_db")
 CONE_SCORES = tuple(f"cone_{name}" for name in SCORES)
 _LPIPS = "LPIPS by VGG-16 (package lpips, Zhang et al. 2018)"
 PROTOCOL = (
-    "means over held-out photographs, at their own size: PSNR and SSIM as `fit` has them; colours matched: PSNR after "
+    "means over held-out photographs, at their own size: PSNR and SSIM as `fit` has them; colours matched: both after "
     "the affine change of colours that suits each photograph best; sharpness: PSNR of the differences of neighbouring "
     "pixels"
 )
@@ -40,11 +40,13 @@ def scores(fit: Fit, photographs: Photographs, lpips: Lpips | None = None) -> di
         image = fit.draw(images.cameras(place))[0, :height, :width].clamp(0, 1)
         planes = image.permute(2, 0, 1), photo.permute(2, 0, 1)
         counts = (weights > 0).to(image)
+        matched = match_colours(image, photo, weights)
         found.append(
             {
                 "psnr_db": weighted_psnr_db(image, photo, weights),
-                "cc_psnr_db": weighted_psnr_db(match_colours(image, photo, weights), photo, weights),
                 "ssim": weighted_ssim(image, photo, weights),
+                "cc_psnr_db": weighted_psnr_db(matched, photo, weights),
+                "cc_ssim": weighted_ssim(matched, photo, weights),
                 "lpips": None if lpips is None else lpips(*(plane * counts for plane in planes)),
                 "gradient_psnr_db": float(gradient_psnr_db(*planes, weights)),
                 "psnr_db_by_ours": weighted_psnr_db(by_ours, photo, weights),
@@ -71,14 +73,14 @@ def load_lpips(device: str, from_zero: bool = False) -> tuple[Lpips | None, str]
     Returns:
         A function of [3,H,W] in 0..1 twice, 0 for equal images; None where it is not there, with a line printed.
     """
-    weights = vgg16.weights_path()
+    weights = vgg16.WEIGHTS.path
     try:
         import lpips
     except (ImportError, RuntimeError, OSError) as error:
-        options.progress(f"no LPIPS ({error}): pip install lpips, and save {vgg16.URL} as {weights}")
+        options.progress(f"no LPIPS ({error}): pip install lpips, and save {vgg16.WEIGHTS.url} as {weights}")
         return None, "no LPIPS"
     if not weights.is_file():
-        options.progress(f"no LPIPS: the weights of VGG-16 are missing: save {vgg16.URL} as {weights}")
+        options.progress(f"no LPIPS: the weights of VGG-16 are missing: save {vgg16.WEIGHTS.url} as {weights}")
         return None, "no LPIPS"
     network = lpips.LPIPS(net="vgg", verbose=False).to(device).eval()
 

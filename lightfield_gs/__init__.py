@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from lightfield_gs.encoding.classic import interlace
     from lightfield_gs.encoding.encode import encode
     from lightfield_gs.encoding.encoder import Encoder
+    from lightfield_gs.encoding.eyes import encode_eyes, weave_eyes
     from lightfield_gs.encoding.quilt import quilt
     from lightfield_gs.encoding.sorted_plan import SortedPlan
     from lightfield_gs.encoding.weave import weave
@@ -59,6 +60,7 @@ _HOMES = {
     "depth_from_network": "photo.depth_network",
     "depth_report": "panels.comfort",
     "encode": "encoding.encode",
+    "encode_eyes": "encoding.eyes",
     "fit": "fitting.fit",
     "from_depth": "photo.rgbd",
     "interlace": "encoding.classic",
@@ -70,6 +72,7 @@ _HOMES = {
     "simplify": "simplification.simplify",
     "simulate_with_gradients": "panels.simulate_tensors",
     "weave": "encoding.weave",
+    "weave_eyes": "encoding.eyes",
     "write_scene": "io.scenes.files",
 }
 # Spelled out for type checkers: they take no other name as public, and would not run a line that makes it from _HOMES
@@ -95,6 +98,7 @@ __all__ = [
     "depth_from_network",
     "depth_report",
     "encode",
+    "encode_eyes",
     "fit",
     "from_depth",
     "interlace",
@@ -106,6 +110,7 @@ __all__ = [
     "simplify",
     "simulate_with_gradients",
     "weave",
+    "weave_eyes",
     "write_scene",
 ]
 __version__ = "0.1.0"

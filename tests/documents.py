@@ -10,7 +10,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 LANGUAGES = {"sh", "python", "yaml", "json", "text"}
 # Why a block may be left unrun; see Block.needs.
-REASONS = {"gpu", "network", "blender", "browser", "kernel", "photographs"}
+REASONS = {"gpu", "network", "blender", "browser", "display", "kernel", "photographs"}
 
 _BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _MARK = re.compile(r"<!-- needs: ([a-z]+) -->\n\Z")

@@ -2,8 +2,9 @@
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -30,6 +31,19 @@ def read_clock(image: np.ndarray, panel: Panel) -> int:
     parts = np.array_split(row, BITS)
     bits = [float(part[len(part) // 4 : -len(part) // 4].mean()) > 0.5 for part in parts]
     return sum(bit << place for place, bit in enumerate(reversed(bits)))
+
+
+def write_film(path: Path, frames: Iterable[np.ndarray]) -> Path:
+    """Write frames uint8 [40, 80, 3], five a second, without loss."""
+    import av
+
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=5)
+        stream.height, stream.width, stream.pix_fmt = 40, 80, "bgr0"
+        for frame in frames:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode(None))
+    return path
 
 
 class Clock:

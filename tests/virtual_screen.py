@@ -34,6 +34,19 @@ class VirtualScreen:
         rows = np.frombuffer(data, np.uint8, height * line, header + 12 * colours).reshape(height, line // 4, 4)
         return rows[:, :width, 2::-1].copy()  # blue comes first
 
+    def press(self, key: str) -> None:
+        """Press and release a key, by X's name of it; skips the test where there is no library for that."""
+        x11, xtest = (ctypes.util.find_library(name) for name in ("X11", "Xtst"))
+        if xtest is None:
+            pytest.skip("no libXtst")
+        x11, xtest = ctypes.CDLL(x11), ctypes.CDLL(xtest)
+        x11.XOpenDisplay.restype, x11.XStringToKeysym.restype = ctypes.c_void_p, ctypes.c_ulong
+        opened = ctypes.c_void_p(x11.XOpenDisplay(self.display.encode()))
+        code = x11.XKeysymToKeycode(opened, ctypes.c_ulong(x11.XStringToKeysym(key.encode())))
+        for is_down in (1, 0):
+            xtest.XTestFakeKeyEvent(opened, code, is_down, ctypes.c_ulong(0))
+        x11.XCloseDisplay(opened)
+
 
 @contextmanager
 def virtual_screen(folder: Path, width: int, height: int, edid: bytes) -> Iterator[VirtualScreen]:

@@ -21,6 +21,7 @@ void bind_image_and_intersections(py::module_ m) {
   m.attr("ABSOLUTE_IMAGE_SUMS") = cuda::kAbsoluteImageSums;
   m.attr("SPLAT_SUMS") = int(kSplatSums);
   m.attr("DIRECT_SUMS") = cuda::kDirectSums;
+  m.attr("LENS_SUMS") = cuda::kLensSums;
   py::class_<cuda::Image>(m, "Image")
       .def(py::init([](int64_t count, int64_t width_px, int64_t height_px, bool lens) {
              return cuda::Image{count, width_px, height_px, lens ? cuda::kDirectTile : cuda::kImageTile};
@@ -78,16 +79,17 @@ void bind_project(py::module_ m) {
       },
       NoGil(), py::arg("splats"), py::arg("intersection_ranges"), py::arg("absolute"),
       py::arg("intersection_gradients"), py::arg("sums"), py::arg("stream"));
+  m.def("rig_blocks", &cuda::rig_blocks, py::arg("gaussians"));
   m.def(
       "project_direct_backward",
       [](const G& gaussians, const Camera<double>& rig, const Splats<float>& splats, Address intersection_ranges,
-         Address intersection_gradients, const G& out, Address stream) {
-        cuda::project_direct_backward(read_only(gaussians), rig, splats,
-                                      at<cuda::IntersectionRange>(intersection_ranges),
-                                      at<float>(intersection_gradients), out, at<void>(stream));
+         Address intersection_gradients, const G& out, Address rig_partials, Address stream) {
+        cuda::project_direct_backward(
+            read_only(gaussians), rig, splats, at<cuda::IntersectionRange>(intersection_ranges),
+            at<float>(intersection_gradients), out, at<double>(rig_partials), at<void>(stream));
       },
       NoGil(), py::arg("gaussians"), py::arg("rig"), py::arg("splats"), py::arg("intersection_ranges"),
-      py::arg("intersection_gradients"), py::arg("out"), py::arg("stream"));
+      py::arg("intersection_gradients"), py::arg("out"), py::arg("rig_partials"), py::arg("stream"));
 }
 
 void bind_order_and_bin(py::module_ m) {
@@ -161,14 +163,14 @@ void bind_composite(py::module_ m) {
       "composite_direct_backward",
       [](const Splats<float>& splats, const cuda::Image& image, Address ranges,
          const cuda::Intersections& intersections, const Lens& lens, Address pixels, Address gradient,
-         Address intersection_gradients, Address tile_background, Address stream) {
+         Address intersection_gradients, Address tile_background, Address tile_lens, Address stream) {
         cuda::composite_direct_backward(splats, image, at<int64_t>(ranges), intersections, lens, at<float>(pixels),
                                         at<float>(gradient), at<float>(intersection_gradients),
-                                        at<float>(tile_background), at<void>(stream));
+                                        at<float>(tile_background), at<float>(tile_lens), at<void>(stream));
       },
       NoGil(), py::arg("splats"), py::arg("image"), py::arg("ranges"), py::arg("intersections"), py::arg("lens"),
       py::arg("pixels"), py::arg("gradient"), py::arg("intersection_gradients"), py::arg("tile_background"),
-      py::arg("stream"));
+      py::arg("tile_lens"), py::arg("stream"));
 }
 
 // Kernels of the network (csrc/network).

@@ -183,7 +183,7 @@ void project_images_backward(const Gaussians<const T>& gaussians, const Cameras<
                              const int64_t* first_intersection, const T* intersection_gradients,
                              const Gaussians<T>& out, T* screen, bool absolute, T* g_world_to_camera, T* g_optics,
                              int threads);
-// g_rig [16 + kRigOptics], or null, receives the gradients of the rig: of world_to_camera, then of its optics.
+// g_rig [kRigNumbers], or null, receives the gradients of the rig, see RigGradient::number().
 template <class T>
 void project_direct_backward(const Gaussians<const T>& gaussians, const Camera<double>& rig, const Lens& lens,
                              const Splats<T>& splats, const int64_t* first_intersection,

@@ -213,6 +213,27 @@ class StereoOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class EyesOptions:
+    """Eyes that are tracked.
+
+    Attributes:
+        eyes: where their positions come from, see `lightfield_gs.tracking.sources`. None: they are not tracked.
+        tracker_fov: full angle of the camera that sees them, degrees. None: DEFAULT_FOV_DEG.
+        tracker_at: place of this camera before the middle of the display, mm. None: above its upper edge.
+        eye_distance: see StereoOptions, also for the next two.
+        screen_size: of a screen without lenses. None: it has lenses, where a display with lenses is named or connected.
+        eye_size: of the picture of a screen without lenses.
+    """
+
+    eyes: str | None = None
+    tracker_fov: float | None = None
+    tracker_at: tuple[float, float, float] | None = None
+    eye_distance: float | None = None
+    screen_size: float | None = None
+    eye_size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class EncodeOptions:
     """One input that becomes the image of a panel.
 

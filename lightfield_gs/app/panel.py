@@ -177,18 +177,26 @@ def shown_panel(image: Path, device_serial: str | None) -> Panel:
     return stored_panel(image, device_serial)
 
 
+def is_display_connected() -> bool:
+    """Return whether a display with lenses is connected."""
+    return _connected(None) is not None
+
+
 def connected_position() -> tuple[int, int] | None:
     """Return the left and top edge of the connected display on the desktop; None where none is known."""
     display = _connected(None)
     return None if display is None or display.screen is None else display.screen.position
 
 
-def where_to_show(panel: Panel, is_opened_there: bool = False) -> list[str]:
+BROWSER_OPENS = "the browser opens there (else: --no-open)"
+
+
+def where_to_show(panel: Panel, opened: str | None = None) -> list[str]:
     """Return lines on the display that is connected, and on whether an image for this panel suits it.
 
     Args:
         panel: Of the image.
-        is_opened_there: Whether a browser is opened on the display by itself.
+        opened: Words on the window that opens on the display by itself. None: a browser must be moved there.
     """
     from lightfield_gs.displays.find import is_off
 
@@ -196,12 +204,12 @@ def where_to_show(panel: Panel, is_opened_there: bool = False) -> list[str]:
         return []
     display = _connected(None)
     if display is None:
-        return ["display: none was found (`lightfield-gs displays`); move the browser to the panel"]
+        way = "; move the browser to the panel" if opened is None else ""
+        return [f"display: none was found (`lightfield-gs displays`){way}"]
     screen = display.screen
     place = "" if screen is None or screen.position is None else " at {},{}".format(*screen.position)
     connector = "" if screen is None else f" on {screen.connector}{place}"
-    where = "the browser opens there (else: --no-open)" if is_opened_there else "move the browser there"
-    lines = [f"display: {display.title}{connector}; {where} (another image's: --panel)"]
+    lines = [f"display: {display.title}{connector}; {opened or 'move the browser there'} (another image's: --panel)"]
     with suppress(InputError):
         own = display.load_panel() if display.calibration is not None else None
         if own is not None and lens_differs(own, panel):

@@ -85,14 +85,14 @@ class StereoTarget:
         return f"stereo: {self.screen.words()}" + (f" ({source}: {', '.join(names)})" if names else "")
 
 
-def refuse_stereo(options: StereoOptions) -> None:
-    """Raise InputError for options of stereo without --stereo."""
+def refuse_stereo(options: StereoOptions, names: str = "--stereo") -> None:
+    """Raise InputError for options of stereo without --stereo; names: of the options that have these."""
     if options.stereo is not None:
         return
     default = StereoOptions()
     for name in ("eye_distance", "screen_size", "eye_size"):
         if getattr(options, name) != getattr(default, name):
-            raise InputError(f"--{name.replace('_', '-')} is for --stereo; give it too, or leave this one out")
+            raise InputError(f"--{name.replace('_', '-')} is for {names}; give it too, or leave this one out")
 
 
 def refuse_panel(panel: str | None) -> None:

@@ -104,6 +104,12 @@ def say(*messages: str) -> None:
         print(as_options(message))
 
 
+def say_now(message: str) -> None:
+    """Print a line on stdout at once, of a command that goes on for long."""
+    say(message)
+    print(end="", flush=True)
+
+
 def say_next(*words: object) -> None:
     """Let the last line of the command say what to do next: these words after the name of the program."""
     told = _next.get()

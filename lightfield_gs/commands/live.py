@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-import webbrowser
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,28 +14,22 @@ from pathlib import Path
 import torch
 
 from lightfield_gs.app.options import LookOptions, PanelOptions, PhotoOptions, RenderOptions
-from lightfield_gs.app.panel import connected_position, load_panel, where_to_show
 from lightfield_gs.app.scene import check_photo_options
 from lightfield_gs.app.video import DEFAULT_FPS
-from lightfield_gs.base.cli_messages import as_options, capturable_streams, say, say_next
+from lightfield_gs.base.cli_messages import as_options, capturable_streams, say, say_next, say_now
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import CodecName, QualityName, Views
+from lightfield_gs.base.options import QualityName, Views
+from lightfield_gs.commands.live_ways import WayOptions, WaysOut
 from lightfield_gs.commands.options.parser import read_options
-from lightfield_gs.commands.options.serving import ServingOptions, serve
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.live.detail import Detail
-from lightfield_gs.live.drawing import LiveRenderer
 from lightfield_gs.live.health import Health
-from lightfield_gs.live.outs import Out, PageOut, Recording
 from lightfield_gs.live.pipeline import Pipeline
 from lightfield_gs.live.reader import Reader
 from lightfield_gs.live.scenes import LiveScenes
 from lightfield_gs.live.sources import open_source
-from lightfield_gs.panels.panel import Panel
 from lightfield_gs.photo.side_by_side import is_rgbd_name
-from lightfield_gs.show.display_browser import DisplayBrowser, find_browser
 from lightfield_gs.video.rendering import FrameOptions
-from lightfield_gs.video.video_file import choose_codec
 from lightfield_gs.webgpu.devices import choose_drawing_device
 
 _MANY_FRAMES = 100  # for the choice of a device, whose start they outweigh
@@ -55,7 +48,7 @@ class LiveOptions:
 
     Attributes:
         source: As `open_source` takes it.
-        output: Of the recording. None: nothing is recorded.
+        ways: Where it goes.
         loop: Whether a film begins again.
         seconds: After which it ends. None: at Ctrl-C, or at the end of a film.
         fps: Frames a second that are to be held.
@@ -69,9 +62,7 @@ class LiveOptions:
     look: LookOptions
     photo: PhotoOptions
     render: RenderOptions
-    serving: ServingOptions
-    output: Path | None = None
-    codec: CodecName | None = None
+    ways: WayOptions
     loop: bool = False
     seconds: float | None = None
     fps: Fraction | None = None
@@ -92,22 +83,18 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     _check(options)
     fps = options.fps or DEFAULT_FPS
     source = open_source(options.source, float(fps), options.loop)
-    panel = load_panel(options.panel)
+    may_draw_fast = options.quality is None and options.ways.stereo.stereo is None  # two eyes' pictures have no quality
+    detail = Detail(float(fps), options.pixels, None if may_draw_fast else options.quality or "exact")
+    health = Health()
+    ways = WaysOut(options.ways, options.panel, fps, health, stack, say_now)
+    panel = ways.panel
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
-    health, detail = Health(), Detail(float(fps), options.pixels, options.quality)
-    page = PageOut(panel, health)
-    outs: list[Out] = [page]
-    recording = None
-    if options.output is not None:
-        codec = choose_codec(options.output, "native", options.codec)
-        recording = Recording(options.output, panel, fps, codec, health)
-        outs.append(recording)
-    reader = Reader(source, health.has_taken, _say_now)
+    reader = Reader(source, health.has_taken, say_now)
     taken = options.photo, options.render, options.look, panel, device.torch, detail, health
     scenes = LiveScenes(source, *taken, options.remember)
     reader.start()
     stack.callback(reader.stop)
-    _say_now(f"{source.name}: waiting for its first picture")
+    say_now(f"{source.name}: waiting for its first picture")
     try:
         with torch.inference_mode():
             scenes.settle(iter(reader.newest))
@@ -118,28 +105,25 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
         options.views, how.background, detail.quality, how.antialiased, how.view_filter, device.webgpu
     )
     height, width = detail.size_px
-    say(f"{source.name}: {width} x {height}, on panel {panel.name}", *device.messages, *scenes.messages)
+    say(f"{source.name}: {width} x {height}, on {ways.screen}", *device.messages, *scenes.messages)
     health.take()  # the start is no part of how it fares
-    end = _End(health, detail, options.seconds)
-    pipeline = Pipeline(reader, scenes, LiveRenderer(panel, drawing, detail), outs, health, end.now)
-    if recording is not None:
-        recording.begin()
-        stack.callback(recording.end)
+    end = _End(health, detail, options.seconds, ways.hint)
+    pipeline = Pipeline(reader, scenes, ways.drawer(drawing, detail), ways.outs, health, end.now)
     began = time.monotonic()
 
-    def start(end_serving: Callable[[], None]) -> None:
+    def start(end_showing: Callable[[], None]) -> None:
         pipeline.start()
-        end.start(end_serving)
+        end.start(end_showing)
 
     try:
-        serve(options.serving, page.routes(), "/panel", _opener(options, panel, stack), start)
+        ways.run(start)
     finally:
         end.now()
         pipeline.stop()
     seconds = time.monotonic() - began
     say(f"{health.drawn} frames in {seconds:.1f} s, of {health.taken} that came")
-    if options.output is not None and health.drawn:
-        say_next("show", options.output)
+    if ways.output is not None and health.drawn:
+        say_next("show", ways.output)
 
 
 def _check(options: LiveOptions) -> None:
@@ -156,26 +140,11 @@ def _check(options: LiveOptions) -> None:
     has_pair = photo.stereo_in not in (None, "none")
     is_deep = photo.depth is not None or photo.rgbd is not None or has_pair or is_rgbd_name(Path(options.source))
     check_photo_options(photo, is_deep)
-    if options.output is not None:
-        check_outputs((options.output,), (options.source,))
-
-
-def _say_now(line: str) -> None:
-    """Print a line at once."""
-    say(line)
-    print(end="", flush=True)
-
-
-def _opener(options: LiveOptions, panel: Panel, stack: ExitStack) -> Callable[[str], object]:
-    """Return what opens the page: a browser of its own on the display where that is found, else the usual one."""
-    position = None if options.serving.no_open else connected_position()
-    if options.panel.panel is None:
-        say(*where_to_show(panel, is_opened_there=position is not None and find_browser() is not None))
-    if position is None or find_browser() is None:
-        return webbrowser.open
-    browser = DisplayBrowser(position, (panel.width_px, panel.height_px))
-    stack.callback(browser.close)
-    return browser.open
+    has_two_eyes = options.ways.stereo.stereo is not None or options.ways.virtual_camera is not None
+    if has_two_eyes and (options.views, options.quality) != ("integer", "exact"):
+        raise InputError("--views and --quality are of panels, and the picture is of two eyes; leave them out")
+    if options.ways.output is not None:
+        check_outputs((options.ways.output,), (options.source,))
 
 
 class _End:
@@ -185,10 +154,11 @@ class _End:
         health: What is said.
         detail: Adapted to it.
         seconds: After which it ends. None: never.
+        hint: See Span.line.
     """
 
-    def __init__(self, health: Health, detail: Detail, seconds: float | None):
-        self._health, self._detail, self._seconds = health, detail, seconds
+    def __init__(self, health: Health, detail: Detail, seconds: float | None, hint: str):
+        self._health, self._detail, self._seconds, self._hint = health, detail, seconds, hint
         self._is_over = threading.Event()
 
     def start(self, end_serving: Callable[[], None]) -> None:
@@ -207,6 +177,6 @@ class _End:
                 end_serving()
                 return
             span = self._health.take()
-            _say_now(span.line())
+            say_now(span.line(self._hint))
             if (words := self._detail.adapt(span)) is not None:
-                _say_now(words)
+                say_now(words)

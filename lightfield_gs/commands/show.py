@@ -10,7 +10,7 @@ from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 
 from lightfield_gs.app.options import PanelOptions
-from lightfield_gs.app.panel import connected_position, where_to_show
+from lightfield_gs.app.panel import BROWSER_OPENS, connected_position, where_to_show
 from lightfield_gs.app.playlist import find_slides
 from lightfield_gs.base.cli_messages import quiet, report_error, say
 from lightfield_gs.base.errors import InputError
@@ -56,7 +56,7 @@ def _show(options: ShowOptions) -> None:
     position, size = (connected_position(), (panel.width_px, panel.height_px)) if of_panel else (None, None)
     has_browser = position is not None and find_browser() is not None and not options.serving.no_open
     if of_panel and options.panel.panel is None:
-        say(*where_to_show(panel, is_opened_there=has_browser))
+        say(*where_to_show(panel, BROWSER_OPENS if has_browser else None))
     if options.wall:
         _show_on_wall(options, position, size)
         return

@@ -16,6 +16,7 @@ from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.openable import OPENED_SUFFIXES, depth_map_beside, photos_and_scenes
 from lightfield_gs.app.options import (
     CameraOptions,
+    EyesOptions,
     LookOptions,
     PanelOptions,
     PhotoOptions,
@@ -26,13 +27,15 @@ from lightfield_gs.app.options import (
 from lightfield_gs.app.panel import connected_position
 from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.app.scene_film import frame_scenes
-from lightfield_gs.app.stereo import panel_of, refuse_files
+from lightfield_gs.app.stereo import panel_of, refuse_files, refuse_stereo
+from lightfield_gs.app.tracked_eyes import TrackedScreen, refuse_eyes, tracked_screen
 from lightfield_gs.app.video import DEFAULT_FPS
-from lightfield_gs.base.cli_messages import Stopwatch, note, say
+from lightfield_gs.base.cli_messages import Stopwatch, note, say, say_now
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.commands.arguments.view import add_arguments
 from lightfield_gs.commands.options.parser import Parser, read_options
 from lightfield_gs.commands.options.serving import ServingOptions, serve
+from lightfield_gs.commands.tracking import open_tracker
 from lightfield_gs.commands.view_command import ShownPicture
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.scenes.files import is_scene_path
@@ -45,6 +48,8 @@ from lightfield_gs.show.page.looks import LookStore, looks_path
 from lightfield_gs.show.page.stage import Controls, Film, Stage, StagedScene
 from lightfield_gs.show.page.steering import steering_routes
 from lightfield_gs.show.page.stereo_stage import StereoStage
+from lightfield_gs.show.page.tracked_stage import TrackedStage
+from lightfield_gs.tracking.tracker import EyeTracker
 from lightfield_gs.video.scene_sequence import SceneSequence, find_scene_sequence
 from lightfield_gs.webgpu.devices import choose_drawing_device
 
@@ -62,6 +67,7 @@ class ViewOptions:
         fps: of scenes in a row.
         device: Device that draws the scene.
         stereo: for a screen of two eyes, in place of a panel.
+        eyes: that are tracked, for which two views take the place of the panel's.
         stats: whether to print the times of the stages.
         words: the words of the command line after `view`.
     """
@@ -75,6 +81,7 @@ class ViewOptions:
     fps: Fraction | None = None
     device: str = "auto"
     stereo: StereoOptions = field(default_factory=StereoOptions)
+    eyes: EyesOptions = field(default_factory=EyesOptions)
     stats: bool = False
     words: tuple[str, ...] = ()
 
@@ -110,29 +117,60 @@ def _view(options: ViewOptions, watch: Stopwatch) -> None:
     if not is_folder and find_scene_sequence(given) is None:
         check_scene_options(options.scene, options.camera)
     refuse_files(options.stereo.stereo, "a screen")
-    panel, screen = panel_of(options.stereo, options.panel)
+    panel, screen, tracked = _screen(options)
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
     watch.lap("start")
     reader = _Reader(options, panel, device.torch)
     shown, scene = _first(reader, paths)
-    if (layout := options.stereo.stereo) is None:
-        stage, where = Stage(scene, panel, device.webgpu), f"panel {panel.name}"
-    else:
-        stage, where = StereoStage(scene, panel, layout, device.webgpu), f"a screen of two eyes, {layout}"
+    tracker, lines = (None, []) if tracked is None else open_tracker(options.eyes, tracked, say_now)
+    stage, where = _stage(options, scene, panel, tracker, tracked is not None and tracked.is_plain, device.webgpu)
     drawn_on = device.webgpu or device.torch
     print(f"{paths[shown]}: {scene.gaussians.count} Gaussians on {where}, drawn on {drawn_on}")
     watch.say_if(options.stats)
-    say(*device.messages, *screen, *reader.messages)
+    say(*device.messages, *screen, *lines, *reader.messages)
     with scratch_folder() as dropped:
         gallery = Gallery(paths, shown, reader.read, photos_and_scenes, is_shown_alone, OPENED_SUFFIXES, dropped)
-        on_display = _OnDisplay.found(panel, options)
+        on_display = None if stage.fills_screen else _OnDisplay.found(panel, options)
         looks, display = LookStore(looks_path()), None if on_display is None else on_display.show
-        routes = steering_routes(stage, exports(stage), gallery, looks, reader.command, display)
+        command = None if tracker is not None else reader.command
+        routes = steering_routes(stage, exports(stage), gallery, looks, command, display)
         try:
             serve(options.serving, routes, "/", None if on_display is None else on_display.open_page)
         finally:
+            if tracker is not None:
+                tracker.stop()
             if on_display is not None:
                 on_display.browser.close()
+
+
+def _screen(options: ViewOptions) -> tuple[Panel, list[str], TrackedScreen | None]:
+    """Return the panel, lines on it, and the screen of tracked eyes, where they are. Raises InputError."""
+    if options.eyes.eyes is None:
+        refuse_stereo(options.stereo, "--stereo or --eyes")
+        refuse_eyes(options.eyes)
+        return *panel_of(options.stereo, options.panel), None
+    if options.stereo.stereo is not None:
+        raise InputError("--stereo is for glasses, and --eyes for eyes without; leave out one")
+    tracked = tracked_screen(options.eyes, options.panel, options.render.view_filter)
+    return tracked.panel, tracked.messages, tracked
+
+
+def _stage(
+    options: ViewOptions,
+    scene: StagedScene,
+    panel: Panel,
+    tracker: EyeTracker | None,
+    is_plain: bool,
+    device: str | None,
+) -> tuple[Stage, str]:
+    """Return what draws the scene, and words on where."""
+    if tracker is not None:
+        stage = TrackedStage(scene, panel, tracker.now(), is_plain, device)
+        tracker.follow(stage.look, lambda: stage.draw_s)
+        return stage, "a plain screen" if is_plain else f"panel {panel.name}, for two eyes"
+    if (layout := options.stereo.stereo) is not None:
+        return StereoStage(scene, panel, layout, device), f"a screen of two eyes, {layout}"
+    return Stage(scene, panel, device), f"panel {panel.name}"
 
 
 @dataclass
@@ -150,8 +188,7 @@ class _OnDisplay:
     @staticmethod
     def found(panel: Panel, options: ViewOptions) -> _OnDisplay | None:
         """Return the connected display; None where its place is not known, or no browser can be told to open there."""
-        is_asked_for = options.stereo.stereo is None and not options.serving.no_open
-        position = connected_position() if is_asked_for else None
+        position = None if options.serving.no_open else connected_position()
         if position is None or find_browser() is None:
             return None
         return _OnDisplay(DisplayBrowser(position, (panel.width_px, panel.height_px)))

@@ -18,7 +18,7 @@ from lightfield_gs.panels.panel import MAX_VIEWS, Panel
 from lightfield_gs.panels.rig import Rig, view_aperture
 from lightfield_gs.rasterizer.image_render import draw_in_chunks
 from lightfield_gs.rasterizer.images import render
-from lightfield_gs.rasterizer.lenticular_camera import Aperture
+from lightfield_gs.rasterizer.lenticular_camera import PINHOLE, Aperture
 from lightfield_gs.rasterizer.stats import Stats
 from lightfield_gs.scene.cameras import Cameras, recentre
 from lightfield_gs.scene.gaussians import Gaussians, check_values
@@ -50,20 +50,45 @@ def render_views(
     Raises:
         InputError: for arguments of other types or values.
     """
+    aperture = view_aperture(panel, rig, real_number("view_filter (views)", view_filter, 0.0, MAX_VIEWS))
+    cameras = rig.cameras_at(panel, x)
+    return render_cameras(
+        gaussians, cameras, background=background, antialiased=antialiased, aperture=aperture, device=device
+    )
+
+
+@torch.no_grad()
+def render_cameras(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Colour = (1.0, 1.0, 1.0),
+    antialiased: bool = False,
+    aperture: Aperture = PINHOLE,
+    device: str | None = None,
+) -> Tensor:
+    """Render images [K, H, W, 3] of cameras, without gradients.
+
+    Args:
+        gaussians: one scene.
+        cameras: [K], pinholes.
+        background: see `encode`, also for antialiased and device.
+        aperture: of each camera.
+
+    Raises:
+        InputError: for arguments of other types or values.
+    """
     expect("gaussians", gaussians, Gaussians)
     expect("antialiased", antialiased, bool)
     gaussians.validate_layout()
     if not gaussians.means.is_cuda:
         check_values(gaussians)  # on CUDA looking at values would wait for the device
-    aperture = view_aperture(panel, rig, real_number("view_filter (views)", view_filter, 0.0, MAX_VIEWS))
     colour = background_tensor(background, gaussians.means)
     if device is not None:
         check_on_cpu(device, gaussians)
         gaussians = gaussians.to(dtype=torch.float32)
-        return draw_views(
-            device, gaussians, rig.cameras_at(panel, x), colour.reshape(-1).float(), antialiased, aperture
-        )
-    return draw_cameras(gaussians, rig.cameras_at(panel, x), colour, antialiased, aperture)[0]
+        return draw_views(device, gaussians, cameras, colour.reshape(-1).float(), antialiased, aperture)
+    return draw_cameras(gaussians, cameras, colour, antialiased, aperture)[0]
 
 
 def draw_cameras(

@@ -107,8 +107,8 @@ def encode(
             opacity_cut, transmittance_stop, colour_error and contribution_cut; lattices and arithmetic stay exact. It
             draws neither gradients nor "float64". None: where the Gaussians are.
         optics: numbers of panel and rig as tensors, in place of theirs. Float outputs of "direct" are differentiable
-            in them too, on the CPU. Those of the lens (line_number, slant_tan, phase, subpixel_cells) need
-            views="continuous". Where a lens ends the view jumps, and no gradient tells of that.
+            in them too. Those of the lens (line_number, slant_tan, phase, subpixel_cells) need views="continuous".
+            Where a lens ends the view jumps, and no gradient tells of that.
 
     Returns:
         The image, of the type of `output`.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeGuard
 
 import numpy as np
 
@@ -52,6 +53,11 @@ def exposure_spread(capture: Capture, indices: Sequence[int]) -> float | None:
         exposures = np.nanmedian(logs - own, 1)
         exposures -= exposures.mean()
     return float(exposures.std())
+
+
+def asks_for_exposures(spread: float | None) -> TypeGuard[float]:
+    """Return whether photographs of this spread, see exposure_spread, are fitted with exposures by default."""
+    return spread is not None and spread >= LEAST_SPREAD
 
 
 def _log_brightness(capture: Capture, index: int, points: np.ndarray, colours: np.ndarray) -> np.ndarray:

@@ -35,7 +35,7 @@ from lightfield_gs.fitting.checkpoint import Identity, loss_name
 from lightfield_gs.fitting.cone import Display, place_display
 from lightfield_gs.fitting.distributed import Group, join_group
 from lightfield_gs.fitting.evaluate import ConeAngles, Scores
-from lightfield_gs.fitting.exposure_spread import LEAST_SPREAD, exposure_spread
+from lightfield_gs.fitting.exposure_spread import asks_for_exposures, exposure_spread
 from lightfield_gs.fitting.initialization import initialize_gaussians
 from lightfield_gs.fitting.memory import MemoryEstimate, estimate_memory, smaller_sizes
 from lightfield_gs.fitting.optimizer import GaussianState
@@ -337,7 +337,7 @@ def _fit_memory(capture: Capture, place: Callable[[Capture], Placement], options
 def _needs_exposure(capture: Capture, indices: list[int]) -> bool:
     """Return whether the exposures of photographs differ, with a note where they do."""
     spread = exposure_spread(capture, indices)
-    if spread is None or spread < LEAST_SPREAD:
+    if not asks_for_exposures(spread):
         return False
     assume(
         f"exposures of the photographs differ by {spread:.1%}: a change of colours is fitted for each, and held-out "

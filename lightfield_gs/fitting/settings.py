@@ -102,7 +102,7 @@ class FitSettings:
     exposure: bool = _flag(False)  # fit an affine change of colours for each photograph
     poses: bool = _flag(False)  # refine the cameras' poses
 
-    # l1-ssim: (1 - ssim_lambda) L1 + ssim_lambda (1 - SSIM); wd: the same at a low weight, see wasserstein.py
+    # l1-ssim: (1 - ssim_lambda) L1 + ssim_lambda (1 - SSIM); wd: and texture, see wasserstein.py
     loss: LossName = _choice("l1-ssim", LOSSES)
     ssim_lambda: float = _real(0.2, 0.0, 1.0)
     # The fraction of Gaussians that a step leaves out; it grows from 0 to this value at the end, see dropout.py
@@ -120,7 +120,7 @@ class FitSettings:
 
     # The first Gaussians; scales are factors of the distance to neighbours. init_opa None: the default of `density`
     init_opa: float | None = _real(None, 1e-6, 1.0)
-    init_scale: float = _real(1.0, 1e-6, 1e6)  # chosen on three captures, see docs/benchmarks.md
+    init_scale: float = _real(0.3, 1e-6, 1e6)  # chosen on three captures, see docs/benchmarks.md
 
     sh_degree_interval: int = _whole(1000)
     # Density control, every refine_every steps between refine_start_iter and refine_stop_iter

@@ -107,7 +107,7 @@ class Trainer:
         """
         self.state, self.images, self.settings, self.group = state, images, settings, group
         self.device = images.device
-        self._loss_and_gradient = _choose_loss(loss, settings, self.device)
+        self._losses = _choose_losses(loss, settings, self.device)
         self.schedule = Schedule.make(settings, images.count, self.device, photo_weights)
         self.counters = StepCounters.start(settings.steps, self.device)
         self.statistics = DensityStatistics(state.count, settings, self.device)
@@ -156,7 +156,7 @@ class Trainer:
     def _something_due(self, step: int) -> bool:
         settings = self.settings
         density = settings.refines_after(step) or settings.resets_after(step) or settings.sorts_after(step)
-        return density or settings.degree_at(step) != settings.degree_at(step - 1)
+        return density or settings.degree_at(step) != settings.degree_at(step - 1) or step in self._losses
 
     def _end_segment(self) -> None:
         """Change the density, reset opacities and sort, where due."""
@@ -184,6 +184,11 @@ class Trainer:
 
     # --- Steps, by a graph on CUDA
 
+    @property
+    def _loss_and_gradient(self) -> Callable[[Tensor, Tensor, Tensor | None], tuple[Tensor, Tensor]]:
+        """The loss of the next step."""
+        return self._losses[max(first for first in self._losses if first <= self.done)]
+
     def _run(self, until: int) -> None:
         """Do the steps up to `until`; nothing else is due between them."""
         while self.done < until:
@@ -203,7 +208,7 @@ class Trainer:
             self._step(None)
             return
         tensors = [*self.state.tensors().values(), *self.statistics.tensors().values()]
-        key = (self.state.count, self._capacity, *(t.data_ptr() for t in tensors))
+        key = (self._loss_and_gradient, self.state.count, self._capacity, *(t.data_ptr() for t in tensors))
         if self._graph is None or key != self._graph_key:
             self._graph = None  # frees its memory before the next one is made
             self._step(self._capacity)  # calls that run for the first time must not be captured
@@ -327,14 +332,18 @@ class Trainer:
             counters.overflow |= intersections > capacity
 
 
-def _choose_loss(
+def _choose_losses(
     own: Loss | None, settings: FitSettings, device: torch.device
-) -> Callable[[Tensor, Tensor, Tensor | None], tuple[Tensor, Tensor]]:
-    """Return the function of renders, photographs and weights that returns the loss and its gradient by the renders."""
-    if own is not None:
-        return partial(own_loss_and_gradient, own)
-    if settings.loss == "wd":
-        from lightfield_gs.fitting.wasserstein import load_loss
+) -> dict[int, Callable[[Tensor, Tensor, Tensor | None], tuple[Tensor, Tensor]]]:
+    """Return the losses by the step from which on they count, the later ones last.
 
-        return load_loss(settings.ssim_lambda, device)
-    return partial(photo_loss_and_gradient, ssim_lambda=settings.ssim_lambda)
+    Each is a function of renders, photographs and weights that returns the loss and its gradient by the renders.
+    """
+    if own is not None:
+        return {0: partial(own_loss_and_gradient, own)}
+    pixels = partial(photo_loss_and_gradient, ssim_lambda=settings.ssim_lambda)
+    if settings.loss == "wd":
+        from lightfield_gs.fitting.wasserstein import FIRST_STEPS, load_loss
+
+        return {0: pixels, round(FIRST_STEPS * settings.steps): load_loss(settings.ssim_lambda, device)}
+    return {0: pixels}

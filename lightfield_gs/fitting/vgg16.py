@@ -15,9 +15,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.io.fetch import RemoteFile
 
-URL = "https://download.pytorch.org/models/vgg16-397923af.pth"
-_HASH_START, _SIZE = "397923af", "528 MB"
+WEIGHTS = RemoteFile("https://download.pytorch.org/models/vgg16-397923af.pth", "397923af")
 # torchvision's numbers of the convolutions, block by block, with the channels that a block returns
 _BLOCKS = (((0, 2), 64), ((5, 7), 128), ((10, 12, 14), 256), ((17, 19, 21), 512), ((24, 26, 28), 512))
 
@@ -32,13 +32,8 @@ class Convolution(NamedTuple):
 Vgg16 = tuple[tuple[Convolution, ...], ...]  # block by block
 
 
-def weights_path() -> Path:
-    """Return the path of torchvision's weights of VGG-16, in the folder of torch.hub."""
-    return Path(torch.hub.get_dir()) / "checkpoints" / URL.rsplit("/", 1)[1]
-
-
 def fetch_weights(say: Callable[[str], None]) -> Path:
-    """Return weights_path, after a download if there is no such file.
+    """Return the path of torchvision's weights of VGG-16, after a download if there is no such file.
 
     Args:
         say: called with a line before a download.
@@ -46,20 +41,7 @@ def fetch_weights(say: Callable[[str], None]) -> Path:
     Raises:
         InputError: the file could not be fetched.
     """
-    path = weights_path()
-    if path.is_file():
-        return path
-    say(f"fetching the weights of VGG-16 ({_SIZE}) once: {URL} to {path.parent}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        torch.hub.download_url_to_file(URL, str(path), hash_prefix=_HASH_START, progress=False)
-    except (OSError, RuntimeError) as error:
-        words = " ".join(str(error).split())[:200]
-        raise InputError(
-            f"loss wd needs the weights of VGG-16, which could not be fetched ({words}): save {URL} in the folder "
-            f"{path.parent}, or leave the loss at l1-ssim"
-        ) from None
-    return path
+    return WEIGHTS.fetched("loss wd needs the weights of VGG-16", "528 MB", "leave the loss at l1-ssim", say)
 
 
 def read_weights(path: Path, device: torch.device | str = "cpu") -> Vgg16:
@@ -72,7 +54,7 @@ def read_weights(path: Path, device: torch.device | str = "cpu") -> Vgg16:
     Raises:
         InputError: the file is damaged, or its tensors are not those of VGG-16.
     """
-    way_out = f"remove it, and save {URL} there"
+    way_out = f"remove it, and save {WEIGHTS.url} there"
     try:
         tensors = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # of the file, its ZIP archive or its pickle: it may be anything

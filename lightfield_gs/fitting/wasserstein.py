@@ -30,12 +30,12 @@ from lightfield_gs.fitting import vgg16
 from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
 
 SCALES = 3
-LOG2_SIGMA = 4  # windows of 2^4 pixels of a photograph, as in the example of balle-lab/wasserstein-distortion
-# From the first step to the last. The gradient is then about as long as that of L1 and SSIM alone, a fifth of it from
-# pixels, so that regularisers and limits on gradients keep their balance. In a fit of the banana of the package
-# (160 pixels, 1,000 steps) the distortion's gradient, averaged over 4 x 4 pixels, was 400 times as long in the first
-# step and 160 times in the last. Other captures, and the quality of fits, had no part in the choice
-DISTORTION_WEIGHT, PIXEL_WEIGHT = 0.005, 0.2
+FIRST_STEPS = 0.5  # of all steps go by L1 and SSIM alone: the distortion places nothing
+LOG2_SIGMA = 2  # windows of 2^2 pixels of a photograph; the example of balle-lab/wasserstein-distortion has 2^4
+# The gradient is then about as long as that of L1 and SSIM alone, so that regularisers and limits on gradients keep
+# their balance. In a fit of the banana of the package (160 pixels, 1,000 steps, windows of 2^4) the distortion's
+# gradient, averaged over 4 x 4 pixels, was 400 times as long in the first step and 160 times in the last
+DISTORTION_WEIGHT, PIXEL_WEIGHT = 0.005, 1.0
 _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet's colours, as torchvision's weights expect
 _LEAST_VARIANCE = 1e-6  # added to variances: gradients of their roots stay finite
 

@@ -34,7 +34,7 @@ class LiveRenderer:
         self._scene: Gaussians | None = None
 
     def __call__(self, gaussians: Gaussians, rig: Rig, number: int) -> Tensor:
-        """Render on the device of the Gaussians, into memory of its own; on CUDA the image is finished."""
+        """Render on the device of the Gaussians, into memory of its own."""
         if self._options.quality != self._detail.quality:
             self._options = replace(self._options, quality=self._detail.quality)
             self._native, self._encoder = NativeRenderer(self._panel, self._options, False), None
@@ -49,6 +49,4 @@ class LiveRenderer:
         for own, given in zip(self._scene.fields().values(), gaussians.fields().values()):
             own.copy_(given)
             given.record_stream(stream)  # it is of the thread that made the scene
-        image = self._encoder(self._scene).clone()
-        stream.synchronize()
-        return image
+        return self._encoder(self._scene).clone()

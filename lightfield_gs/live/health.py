@@ -54,13 +54,13 @@ class Span:
         took = self.took_s.get(stage)
         return mean(took) if took else None
 
-    def line(self) -> str:
-        """Return the health line."""
+    def line(self, hint: str = "") -> str:
+        """Return the health line, with a hint where pictures are drawn and none is shown."""
         rate = 1 / max(self.seconds, 1e-9)
         unused = sum(self.unused.values())
         parts = [f"{self.shown * rate:.1f} frames a second shown"]
         if not self.shown and self.drawn:
-            parts = [f"{self.drawn * rate:.1f} frames a second drawn, none shown (is the page open?)"]
+            parts = [f"{self.drawn * rate:.1f} frames a second drawn, none shown{hint}"]
         parts.append(f"{max(0, self.taken - max(self.shown, self.drawn) - unused)} of {self.taken} dropped")
         if self.shown:
             parts.append(f"{1000 * median(self.latencies_s):.0f} ms from taken to sent")

@@ -8,9 +8,8 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from lightfield_gs.base.device import finished_to_numpy
 from lightfield_gs.live.health import Health
-from lightfield_gs.live.outs import Out
+from lightfield_gs.live.outs import Drawn, Out
 from lightfield_gs.live.reader import Reader
 from lightfield_gs.live.scenes import LiveScenes
 from lightfield_gs.live.slot import Slot
@@ -20,13 +19,13 @@ from lightfield_gs.video.rendering import FrameRenderer
 
 
 class Pipeline:
-    """Turns the pictures of a source into those of the panel, until the source ends or `stop` is called.
+    """Turns the pictures of a source into those that are shown, until the source ends or `stop` is called.
 
     Args:
         reader: Reads the source; it has begun.
         scenes: Makes the scenes; it is settled.
-        draw: Draws the panel's picture, which is finished then, into memory of its own.
-        outs: Where it goes.
+        draw: Draws a picture, into memory that is the picture's own.
+        outs: Where the pictures go.
         health: Counts.
         ended: Called once, from one of the threads, when the last picture is out.
     """
@@ -41,9 +40,9 @@ class Pipeline:
         ended: Callable[[], None],
     ):
         self._reader, self._scenes, self._draw, self._outs = reader, scenes, draw, outs
-        self._health, self._ended = health, ended
+        self._health = health
         self._drawable: Slot[tuple[Frame, Gaussians]] = Slot()
-        self._drawn: Slot[tuple[Frame, Tensor]] = Slot()
+        self._drawn: Slot[tuple[Frame, Drawn]] = Slot()
         self._failed: BaseException | None = None
         self._threads = [
             threading.Thread(target=self._run, args=(name, work, after), name=name, daemon=True)
@@ -88,12 +87,18 @@ class Pipeline:
     def _encode(self) -> None:
         for frame, gaussians in self._drawable:
             with self._health.busy("encode"):
-                image = self._draw(gaussians, self._scenes.rig, frame.number)
+                drawn = Drawn(_finished(self._draw(gaussians, self._scenes.rig, frame.number)))
             self._health.has_drawn()
-            self._drawn.put((frame, image))
+            self._drawn.put((frame, drawn))
 
     def _put_out(self) -> None:
-        for frame, image in self._drawn:
-            pixels = finished_to_numpy(image)
+        for frame, drawn in self._drawn:
             for out in self._outs:
-                out.put(frame, pixels)
+                out.put(frame, drawn)
+
+
+def _finished(image: Tensor) -> Tensor:
+    """Return an image once its device has drawn it."""
+    if image.is_cuda:
+        torch.cuda.current_stream(image.device).synchronize()
+    return image

@@ -30,6 +30,12 @@ class Slot(Generic[_T]):
             self._is_closed = True
             self._changed.notify()
 
+    def take(self) -> _T | None:
+        """Return the newest thing; None where there is none."""
+        with self._changed:
+            item, self._item = self._item, None
+        return item
+
     def __iter__(self) -> Iterator[_T]:
         """Yield each thing as soon as it is there, until the slot is closed and empty."""
         while True:

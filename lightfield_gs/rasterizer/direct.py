@@ -102,14 +102,14 @@ class DirectRender:
         return out
 
     def backward(
-        self, image: Tensor, g_image: Tensor, optics: OpticsGradients | None = None
-    ) -> tuple[list[Tensor], Tensor]:
-        """Return the gradients of the five fields, and of the background.
+        self, image: Tensor, g_image: Tensor, optics: bool = False
+    ) -> tuple[list[Tensor], Tensor, OpticsGradients | None]:
+        """Return the gradients of the five fields, of the background and, with optics, of the camera.
 
         Args:
             image: what draw_exactly returned.
             g_image: its gradient.
-            optics: memory for the gradients of the camera, if they are asked for; CPU only.
+            optics: whether the gradients of the camera are asked for.
 
         Raises:
             InputError: for images of other shapes, types or devices.
@@ -118,8 +118,8 @@ class DirectRender:
         image, g_image = (check_tensor(n, t, shape, *like) for n, t in (("image", image), ("g_image", g_image)))
         work = self.workspace(Stats(), torch.get_num_threads())
         with device_guard(self.scene.device):
-            fields, parts = work.direct_backward(self.native, self.background, image, g_image, optics)
-        return [g.squeeze(0) for g in fields], parts.sum(0)
+            fields, parts, of_camera = work.direct_backward(self.native, self.background, image, g_image, optics)
+        return [g.squeeze(0) for g in fields], parts.sum(0), of_camera
 
 
 class SceneArguments(NamedTuple):
@@ -187,7 +187,7 @@ def sub_pixel_gradients(*arguments: Any) -> tuple[Tensor, ...]:
 
     arguments: of render_direct, then its image and the gradient of that.
     """
-    fields, background = _unpack(arguments).backward(*DrawnImage(*arguments[_OPTIONS + 1 :]))
+    fields, background, _ = _unpack(arguments).backward(*DrawnImage(*arguments[_OPTIONS + 1 :]))
     return (*fields, background)
 
 

@@ -1,8 +1,8 @@
 """A light-field image as a function of its Gaussians and of the numbers of its panel and rig.
 
 A sub-pixel at D sees the camera at the normalized offset s = s_start + s_step x, with x = N frac(D / P_e). So ds/dD =
-s_step N / P_e, and ds/dP_e = -D/P_e ds/dD, except where a lens ends. The native code has the gradient by s of each
-sub-pixel, and by the numbers of the rig.
+s_step N / P_e, and ds/dP_e = -D/P_e ds/dD, except where a lens ends. The stages have sums over sub-pixels of the
+gradient by s, and the gradients of the rig.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.rasterizer.direct import DirectRender
 from lightfield_gs.rasterizer.lenticular_camera import Lens, LenticularCamera
@@ -29,23 +28,20 @@ def render_with_optics(
     rig: Tensor,
     lens: Sequence[Tensor],
 ) -> Tensor:
-    """Draw the image [H, W, 3] of a camera with gradients to its numbers; on the CPU.
+    """Draw the image [H, W, 3] of a camera with gradients to its numbers.
 
     Args:
         fields: means, quaternions, scales, opacities and sh of one scene.
         background: [3].
         camera: of the panel's sub-pixels; its values are drawn.
         antialiased: see encoding.encode.
-        rig: [16 + RIG_OPTICS] float64, the same values: world_to_camera, then as csrc/math/projection.h lists Optic.
+        rig: [16 + RIG_OPTICS] float64 on the CPU, the same values: world_to_camera, then as csrc/math/projection.h
+            lists Optic.
         lens: likewise line number, slant, phase, and [4, 4, 3] the places of sub-pixels: D from D of their pixel.
 
     Raises:
-        InputError: for tensors of other shapes or types, or on another device; and for a rig without width.
+        InputError: for tensors of other shapes, types or devices, and for a rig without width.
     """
-    if background.is_cuda:
-        raise InputError(
-            "optics: their gradients are computed on the CPU, and the Gaussians are on CUDA: use to('cpu')"
-        )
     if camera.lens.offset_step == 0:
         raise InputError("optics: a cone of 0 degrees has no gradients: give a larger one")
     return _Image.apply(camera, antialiased, rig, *lens, background, *fields)
@@ -66,13 +62,15 @@ class _Image(torch.autograd.Function):
     def backward(ctx, g_image: Tensor) -> tuple[Any, ...]:
         _, _, slant, phase, places, *_, image = ctx.saved_tensors
         render, lens = ctx.render, ctx.render.camera.lens
-        gradients = OpticsGradients(torch.empty(16 + _core.RIG_OPTICS, dtype=torch.float64), torch.empty_like(image))
-        fields, g_background = render.backward(image, g_image, gradients)
-        g_lens = _lens_gradients(lens, float(slant), float(phase), places, gradients.offsets)
-        return None, None, gradients.rig, *g_lens, g_background, *fields
+        fields, g_background, optics = render.backward(image, g_image, optics=True)
+        assert optics is not None
+        g_lens = _lens_gradients(lens, float(slant), float(phase), places, optics)
+        return None, None, optics.rig, *g_lens, g_background, *fields
 
 
-def _lens_gradients(lens: Lens, slant: float, phase: float, places: Tensor, g_offsets: Tensor) -> tuple[Tensor, ...]:
+def _lens_gradients(
+    lens: Lens, slant: float, phase: float, places: Tensor, optics: OpticsGradients
+) -> tuple[Tensor, ...]:
     """Return the gradients of line number, slant, phase and places.
 
     Args:
@@ -80,17 +78,10 @@ def _lens_gradients(lens: Lens, slant: float, phase: float, places: Tensor, g_of
         slant: Of the lens.
         phase: Of the lens, sub-pixels.
         places: [PERIOD, PERIOD, 3], see render_with_optics.
-        g_offsets: [H, W, 3], the gradient by the normalized offset of each sub-pixel.
+        optics: The gradients of the camera.
     """
-    period = len(places)
-    by_rows, by_columns = (g_offsets.sum(axes, dtype=torch.float64) for axes in ((1, 2), (0, 2)))
-    by_places = torch.stack(
-        [g_offsets[i::period, j::period].sum((0, 1), dtype=torch.float64) for i in range(period) for j in range(period)]
-    ).view_as(places)
-    g_phase = by_rows.sum()
-    g_slant = 3 * by_rows @ torch.arange(lens.height_px, dtype=torch.float64)
-    times_d = 3 * by_columns @ torch.arange(lens.width_px, dtype=torch.float64) + slant * g_slant + phase * g_phase
-    times_d = times_d + (by_places * places).sum()
+    g_slant, g_phase = 3 * optics.by_row, optics.places.sum()
+    times_d = 3 * optics.by_column + slant * g_slant + phase * g_phase + (optics.places * places).sum()
     half_width = max(abs(lens.offset_start), abs(lens.offset_start + lens.offset_step * lens.views))
     per_subpixel = lens.offset_step / half_width * lens.views / lens.line_number
-    return tuple(per_subpixel * g for g in (-times_d / lens.line_number, g_slant, g_phase, by_places))
+    return tuple(per_subpixel * g for g in (-times_d / lens.line_number, g_slant, g_phase, optics.places))

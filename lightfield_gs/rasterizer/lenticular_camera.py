@@ -9,6 +9,7 @@ from typing import NamedTuple
 from lightfield_gs import _core
 from lightfield_gs.base.errors import InputError
 
+CELL_PERIOD = math.isqrt(_core.CELL_SUBPIXELS // 3)  # rows and columns after which the places of sub-pixels repeat
 _LENS_WIDTH = 1 << 64  # phases are whole numbers of 2^-64 lens widths, modulo one lens
 
 

@@ -16,7 +16,7 @@ from torch import Tensor
 from lightfield_gs import _core
 from lightfield_gs.base.arrays import check_tensor
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.rasterizer.lenticular_camera import NativeCamera
+from lightfield_gs.rasterizer.lenticular_camera import CELL_PERIOD, NativeCamera
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.stats import Stats, direct_counts
 
@@ -246,15 +246,21 @@ InputGradients = tuple[list[Tensor], Tensor, Tensor, Tensor]  # the first four o
 
 
 class OpticsGradients(NamedTuple):
-    """Gradients of the camera of a light-field image.
+    """Gradients of the camera of a light-field image, float64.
+
+    Those of the lens are sums over sub-pixels of g, the gradient of the normalized offset of a sub-pixel's camera.
 
     Attributes:
-        rig: [16 + RIG_OPTICS] float64, of world_to_camera and then as csrc/math/projection.h lists Optic.
-        offsets: [H, W, 3], of the normalized offset of each sub-pixel's camera, by image channel.
+        rig: [16 + RIG_OPTICS], of world_to_camera and then as csrc/math/projection.h lists Optic.
+        places: [CELL_PERIOD, CELL_PERIOD, 3], sums of g by row and column modulo CELL_PERIOD, and by image channel.
+        by_row: [], the sum of g times the row of the pixel.
+        by_column: [], likewise times the column.
     """
 
     rig: Tensor
-    offsets: Tensor
+    places: Tensor
+    by_row: Tensor
+    by_column: Tensor
 
 
 class CpuWorkspace:
@@ -506,19 +512,15 @@ class CpuWorkspace:
         self.splats.drop(hidden)
 
     def direct_backward(
-        self,
-        camera: NativeCamera,
-        background: Tensor,
-        image: Tensor,
-        g_image: Tensor,
-        optics: OpticsGradients | None = None,
-    ) -> tuple[list[Tensor], Tensor]:
-        """Return the gradients of the five fields, and of the background in parts [parts, 3].
+        self, camera: NativeCamera, background: Tensor, image: Tensor, g_image: Tensor, optics: bool = False
+    ) -> tuple[list[Tensor], Tensor, OpticsGradients | None]:
+        """Return the gradients of the five fields, of the background in parts [parts, 3], and of the camera.
 
-        optics: Memory for the gradients of the camera, if they are asked for.
+        optics: Whether the gradients of the camera are asked for; else they are None.
         """
         core, splats = self.scene.core, self.splats
-        g_rig, g_offsets = (0, 0) if optics is None else (t.data_ptr() for t in optics)
+        g_rig = torch.empty(16 + _core.RIG_OPTICS, dtype=torch.float64)
+        g_offsets = self.scene.new(*image.shape) if optics else None
         size = _core.intersection_gradient_size(splats.colour_order, splats.compensations is not None)
         first, sums, g_background = self._gradient_buffers(size)
         core.composite_direct_backward(
@@ -531,7 +533,7 @@ class CpuWorkspace:
             first.data_ptr(),
             sums.data_ptr(),
             g_background.data_ptr(),
-            g_offsets,
+            0 if g_offsets is None else g_offsets.data_ptr(),
             self.threads,
         )
         out, native = self.scene.gradients(zero=True)
@@ -543,10 +545,10 @@ class CpuWorkspace:
             first.data_ptr(),
             sums.data_ptr(),
             native,
-            g_rig,
+            g_rig.data_ptr() if optics else 0,
             self.threads,
         )
-        return out, g_background
+        return out, g_background, None if g_offsets is None else OpticsGradients(g_rig, *_lens_sums(g_offsets))
 
     def _gradient_buffers(self, size: int) -> tuple[Tensor, Tensor, Tensor]:
         """Return each splat's first intersection [I, N], and gradients: [intersections, size] and [bands, 3]."""
@@ -559,3 +561,12 @@ class CpuWorkspace:
         first = self.scene.new(self.images, self.scene.count, dtype=torch.int64)
         self.scene.core.first_intersections(self.splats.native, self.height, self.bins, first.data_ptr(), self.threads)
         return first
+
+
+def _lens_sums(g_offsets: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return places, by_row and by_column of OpticsGradients from the gradient of each sub-pixel, [H, W, 3]."""
+    rows, columns = (g_offsets.sum(axes, dtype=torch.float64) for axes in ((1, 2), (0, 2)))
+    starts = [(i, j) for i in range(CELL_PERIOD) for j in range(CELL_PERIOD)]
+    parts = [g_offsets[i::CELL_PERIOD, j::CELL_PERIOD].sum((0, 1), dtype=torch.float64) for i, j in starts]
+    by_row, by_column = (sums @ torch.arange(len(sums), dtype=torch.float64) for sums in (rows, columns))
+    return torch.stack(parts).view(CELL_PERIOD, CELL_PERIOD, 3), by_row, by_column

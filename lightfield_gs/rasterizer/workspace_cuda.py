@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from lightfield_gs import _core
-from lightfield_gs.rasterizer.lenticular_camera import NativeCamera
+from lightfield_gs.rasterizer.lenticular_camera import CELL_PERIOD, NativeCamera
 from lightfield_gs.rasterizer.quality import Quality
 from lightfield_gs.rasterizer.splat_shapes import is_drawn
 from lightfield_gs.rasterizer.stats import Stats
@@ -267,18 +267,16 @@ class CudaWorkspace:
         self.keys.view(hidden.shape).masked_fill_(hidden, _NOT_DRAWN)
 
     def direct_backward(
-        self,
-        camera: NativeCamera,
-        background: Tensor,
-        image: Tensor,
-        g_image: Tensor,
-        optics: OpticsGradients | None = None,
-    ) -> tuple[list[Tensor], Tensor]:
-        assert optics is None, "render_with_optics refuses CUDA"
+        self, camera: NativeCamera, background: Tensor, image: Tensor, g_image: Tensor, optics: bool = False
+    ) -> tuple[list[Tensor], Tensor, OpticsGradients | None]:
         scene, cuda = self.scene, _core.cuda
         extra = 0 if self.splats.compensations is None else _core.COMPENSATION_FIELDS
         slots = scene.new(self.intersection_count, cuda.DIRECT_SUMS + 3 * self.splats.colours.shape[2] + extra)
         g_background = scene.new(self.image.tiles(), 3)
+        lens, rig = scene.new(0), scene.new(0)
+        if optics:
+            lens = scene.new(self.image.tiles(), cuda.LENS_SUMS)
+            rig = scene.new(cuda.rig_blocks(scene.count), 16 + _core.RIG_OPTICS, dtype=torch.float64)
         cuda.composite_direct_backward(
             self.splats.native,
             self.image,
@@ -289,13 +287,33 @@ class CudaWorkspace:
             g_image.data_ptr(),
             slots.data_ptr(),
             g_background.data_ptr(),
+            lens.data_ptr() if optics else 0,
             self.stream,
         )
         out, native = scene.gradients(zero=True)
         cuda.project_direct_backward(
-            scene.native(), camera.rig, self.splats.native, self.slot_ranges, slots.data_ptr(), native, self.stream
+            scene.native(),
+            camera.rig,
+            self.splats.native,
+            self.slot_ranges,
+            slots.data_ptr(),
+            native,
+            rig.data_ptr() if optics else 0,
+            self.stream,
         )
-        return out, g_background
+        return out, g_background, _optics_gradients(lens, rig) if optics else None
+
+
+def _optics_gradients(lens: Tensor, rig: Tensor) -> OpticsGradients:
+    """Return the sums over tiles and blocks, on the CPU.
+
+    Args:
+        lens: [tiles, LENS_SUMS], see csrc/cuda/stages/stages.h.
+        rig: [blocks, 16 + RIG_OPTICS] float64.
+    """
+    sums = torch.cat([lens.sum(0, dtype=torch.float64), rig.sum(0)]).cpu()  # one copy, for which the host waits
+    places, by_row, by_column, g_rig = sums.split([_core.CELL_SUBPIXELS, 1, 1, rig.shape[1]])
+    return OpticsGradients(g_rig, places.view(CELL_PERIOD, CELL_PERIOD, 3), by_row.squeeze(), by_column.squeeze())
 
 
 def project_images_backward(
@@ -329,6 +347,8 @@ def project_images_backward(
     if views is None:
         return out, scene.new(0, request.pose_rows, 4), scene.new(0, _core.CAMERA_OPTICS), screen
     pose, motion, optics = views.sum(1).split(parts, -1)
+    if not request.optics:
+        optics = scene.new(0, _core.CAMERA_OPTICS)
     rows = functional.pad(pose.view(-1, 3, 4), (0, 0, 0, 1)), functional.pad(motion.view(images, -1, 3), (0, 1))
     return out, torch.cat(rows, 1), optics, screen
 

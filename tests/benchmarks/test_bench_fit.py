@@ -41,7 +41,7 @@ def test_scores_in_the_cone_are_those_of_its_photographs_alone(tmp_path):
     inside, outside = (
         scores(fit, Photographs.load(capture, held_out, "cpu", 30.0, "c")) for held_out in ([3, 5], [0, 8])
     )
-    for name in ("psnr_db", "cc_psnr_db", "ssim", "gradient_psnr_db"):
+    for name in ("psnr_db", "cc_psnr_db", "ssim", "cc_ssim", "gradient_psnr_db"):
         assert found[f"cone_{name}"] == pytest.approx(inside[name], rel=1e-6)
         assert found[name] == pytest.approx((inside[name] + outside[name]) / 2, rel=1e-6)
     assert outside["cone_psnr_db"] is None and found["lpips"] is found["cone_lpips"] is None
@@ -92,8 +92,8 @@ def test_captures_share_a_file_and_a_table(tmp_path, capsys):
 
 def test_ours_is_compared_with_the_best_strategy_of_each_capture():
     def row(capture, arm, seed, psnr_db, seconds):
-        what = {"capture": capture, "arm": arm, "seed": seed, "step": 9, "psnr_db": psnr_db, "seconds": seconds}
-        return dict.fromkeys(fit_report._NUMBERS) | {"ssim": psnr_db / 100, "gaussians": 10} | what
+        what = {"capture": capture, "arm": arm, "seed": seed, "step": 9, "cc_psnr_db": psnr_db, "seconds": seconds}
+        return dict.fromkeys(fit_report._NUMBERS) | {"cc_ssim": psnr_db / 100, "gaussians": 10} | what
 
     rows = [row("a", "ours", seed, psnr_db, 2.0) for seed, psnr_db in enumerate((27.0, 29.0, 28.0))]
     rows += [row("a", "gsplat-mcmc", 0, 27.5, 10.0), row("a", "gsplat-default", 0, 27.0, 5.0)]
@@ -101,9 +101,11 @@ def test_ours_is_compared_with_the_best_strategy_of_each_capture():
     rows += [row("b", "ours", 0, 20.0, 3.0), row("b", "gsplat-mcmc", 0, 20.5, 10.0)]
     rows += [row("b", "gsplat-default", 0, 21.0, 4.0), row("c", "ours", 0, 25.0, 1.0)]
     first, second, third = fit_report.differences(fit_report.summary(rows))
-    assert first["best"] == "gsplat-mcmc" and first["psnr_db"] == pytest.approx(0.5) and first["seconds"] == 0.2
-    assert second["best"] == "gsplat-default" and second["ssim"] == pytest.approx(-0.01) and second["seconds"] == 0.75
-    assert third["best"] is None and third["psnr_db"] is None and third["ours_psnr_db"] == 25
+    assert first["best"] == "gsplat-mcmc" and first["cc_psnr_db"] == pytest.approx(0.5) and first["seconds"] == 0.2
+    assert (
+        second["best"] == "gsplat-default" and second["cc_ssim"] == pytest.approx(-0.01) and second["seconds"] == 0.75
+    )
+    assert third["best"] is None and third["cc_psnr_db"] is None and third["ours_db"] == 25
 
 
 def test_finished_fits_are_not_run_again(tmp_path, monkeypatch, capsys):

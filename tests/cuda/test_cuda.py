@@ -11,9 +11,11 @@ from cuda_on_cpu.cases import (
     HALF_MOST,
     HALF_QUALITY,
     LATTICE_FRAMES,
+    OPTICS,
     crowd,
     half_frame,
     lattice_frame,
+    optics_gradients,
 )
 from cuda_on_cpu.cases import rig_of as rig
 from rasterizer_cases import CELLS, MIRRORED
@@ -332,6 +334,20 @@ def test_lens_gradients_are_those_of_float64_on_the_cpu(bright_scene, panel):
 def test_lens_gradients_are_the_same_in_every_run(scene):
     for a, b in zip(lens_gradients(scene, "default", "cuda"), lens_gradients(scene, "default", "cuda")):
         assert torch.equal(a, b)
+
+
+@pytest.mark.parametrize("case", OPTICS)
+def test_gradients_to_optics_are_those_of_float64_on_the_cpu(case):
+    found = optics_gradients(*case, torch.float32, "cuda")
+    for name, expected in optics_gradients(*case, torch.float64).items():
+        error = (found[name].cpu().double() - expected).norm() / expected.norm()
+        assert error < (1e-4 if name == "image" else 3e-3), name  # an alpha may be on its cut
+
+
+def test_gradients_to_optics_are_the_same_in_every_run():
+    first, second = (optics_gradients(*OPTICS[1], torch.float32, "cuda") for _ in range(2))
+    for name, found in first.items():
+        assert torch.equal(found, second[name]), name
 
 
 def test_nothing_drawn_has_zero_gradients():

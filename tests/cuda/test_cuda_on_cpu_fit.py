@@ -19,6 +19,7 @@ DRAWN = (
     "antialiased gradients",
     "camera models",
     "view filter",
+    "optics",
     "fit",
 )
 
@@ -93,6 +94,13 @@ def test_filtered_views_and_their_gradients_are_those_of_the_oracle(drawn):
     for name, value in expected.items():
         error = (gradients[name].double() - value).norm() / value.norm()
         assert error < (1e-5 if name == "image" else 5e-3), name
+
+
+def test_gradients_to_optics_are_those_of_float64(drawn):
+    for case, found in zip(cases.OPTICS, drawn("optics"), strict=True):
+        for name, expected in cases.optics_gradients(*case, torch.float64).items():
+            error = (found[name].double() - expected).norm() / expected.norm()
+            assert error < (1e-5 if name == "image" else 1e-3), (case, name)
 
 
 def test_fitting_is_that_of_the_cpu(drawn):

@@ -11,7 +11,7 @@ import torch
 from rasterizer_cases import CELLS, MIRRORED
 from torch import Tensor
 
-from lightfield_gs import Gaussians, Panel, Quality, Rig, encode, render
+from lightfield_gs import Gaussians, Optics, Panel, Quality, Rig, encode, render
 from lightfield_gs.base.options import DEFAULT_PANEL
 from lightfield_gs.bench.scenes import benchmark_rig, cloud, sheet, with_harmonics
 
@@ -227,6 +227,36 @@ def gradients(
             optics = {name: getattr(cameras, name).clone().requires_grad_() for name in names}
             cameras, leaves = replace(cameras, **optics), leaves | optics
         image = render(given, cameras, background=BACKGROUND, antialiased=antialiased).image
+    loss = (image * torch.linspace(-1, 2, image.numel()).to(image).view_as(image)).sum()
+    return {**dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values())))), "image": image.detach()}
+
+
+# Panel (None: half of the colours are on circles), SH degree, and options of encode; of gradients to optics
+OPTICS: list[tuple[str | None, int, dict[str, Any]]] = [
+    ("default", 0, {}),
+    ("cells", 3, {}),
+    ("inverted", 1, {"view_filter": 3.0}),
+    ("leaning the other way, BGR", 1, {"antialiased": True}),
+    (None, 3, {}),
+]
+
+
+def optics_gradients(
+    name: str | None, degree: int, options: dict[str, Any], dtype: torch.dtype, device: str = "cpu"
+) -> dict[str, Tensor]:
+    """Return the gradients of a loss on a light-field image, and the image; of a panel of several tiles."""
+    scene, panel, rig = near(NEAR[1])
+    scene.scales[:, 0] *= 2  # of round ones quaternions have no gradients
+    if name is not None:
+        scene, panel = scene_of(degree), panel_of(name)
+        turn = torch.linalg.matrix_exp(torch.tensor([[0, -0.05, 0.03], [0.05, 0, -0.04], [-0.03, 0.04, 0]]).double())
+        rig = replace(rig_of(panel), world_to_camera=torch.block_diag(turn, torch.ones(1)).numpy())
+    scene.sh[:, 0] += 3  # where colours are clamped at zero, gradients jump
+    numbers = {n: t.detach().to(device).requires_grad_() for n, t in Optics.of(panel, rig).given().items()}
+    leaves = {n: t.to(device=device, dtype=dtype).requires_grad_() for n, t in scene.fields().items()}
+    options = dict(views="continuous", background=BACKGROUND, output=str(dtype).removeprefix("torch."), **options)
+    image = encode(Gaussians(**leaves), panel, rig, optics=Optics(**numbers), **options)
+    leaves |= numbers
     loss = (image * torch.linspace(-1, 2, image.numel()).to(image).view_as(image)).sum()
     return {**dict(zip(leaves, torch.autograd.grad(loss, list(leaves.values())))), "image": image.detach()}
 

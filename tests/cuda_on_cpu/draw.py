@@ -232,6 +232,8 @@ def main(what: str) -> object:
         ]
     if what == "gradients":
         return [cases.gradients(scene(), sensor, torch.float32) for scene, sensor in cases.HARD_GRADIENTS]
+    if what == "optics":
+        return [cases.optics_gradients(*case, torch.float32) for case in cases.OPTICS]
     if what == "antialiased":
         return [compensated(*case, antialiased=True) for case in cases.ANTIALIASED]
     if what == "view filter":

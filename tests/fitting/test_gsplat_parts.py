@@ -27,7 +27,7 @@ def leaves(given: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
 
 
 def loss_of(image: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-    return (image.square() * torch.linspace(0.5, 2, image.shape[2]).double()[:, None]).sum() + alpha.sum()
+    return (image.square() * torch.linspace(0.5, 2, image.shape[2]).to(image)[:, None]).sum() + alpha.sum()
 
 
 CASES = {

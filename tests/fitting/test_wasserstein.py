@@ -146,7 +146,7 @@ def test_pixels_without_weight_change_nothing():
 def weights_file(tmp_path, monkeypatch):
     """The path of VGG-16's weights in a folder of their own, where there are none yet."""
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "hub"))
-    path = vgg16.weights_path()
+    path = vgg16.WEIGHTS.path
     path.parent.mkdir(parents=True)
     return path
 
@@ -174,7 +174,11 @@ def test_a_fit_by_it_goes_on_by_it(capture, tmp_path, weights_file, capsys):
     lf.fit(capture, **QUICK, folder=folder, stop=lambda: True)
     with pytest.raises(InputError, match="loss was 'wd' and is 'l1-ssim'"):
         lf.fit(capture, **{**QUICK, "loss": "l1-ssim"}, folder=folder)
-    stopped, whole = lf.fit(capture, **QUICK, folder=folder), lf.fit(capture, **{**QUICK, "progress": True})
+    seen, watch = [], dict(callback=lambda state: seen.append(state.gaussians.means), callback_every=1)
+    stopped, whole = lf.fit(capture, **QUICK, folder=folder), lf.fit(capture, **{**QUICK, "progress": True}, **watch)
+    lf.fit(capture, **{**QUICK, "loss": "l1-ssim"}, **watch)
+    steps = [torch.equal(one, other) for one, other in zip(seen[:3], seen[3:])]
+    assert len(seen) == 6 and steps == [True, True, False]  # texture counts in the second half
     assert torch.equal(stopped.gaussians.means, whole.gaussians.means) and whole.settings.loss == "wd"
     assert "loss: WD-R" in capsys.readouterr().out
 
@@ -184,7 +188,9 @@ def test_missing_and_foreign_weights_are_refused(capture, weights_file, monkeypa
         raise urllib.error.URLError("no route to host")
 
     monkeypatch.setattr(torch.hub, "download_url_to_file", offline)
-    with pytest.raises(InputError, match=f"no route to host.*save {vgg16.URL} in the folder {weights_file.parent}"):
+    with pytest.raises(
+        InputError, match=f"no route to host.*save {vgg16.WEIGHTS.url} in the folder {weights_file.parent}"
+    ):
         lf.fit(capture, **QUICK)
     torch.save({"features.0.weight": torch.zeros(64, 3, 3, 3)}, weights_file)
     with pytest.raises(InputError, match=r"expected a tensor features.0.bias \[64\] of VGG-16, got none"):

@@ -34,6 +34,7 @@ ROOMS = (
     "training",
     "lightfield_gs.app",
     "lightfield_gs.live",
+    "lightfield_gs.tracking",
     "lightfield_gs.commands.options",
     "lightfield_gs.bench",
     "benchmarks",

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +20,7 @@ import pytest
 import torch
 from chromium import Browser
 from command_line import complaint, heed_ctrl_c, run
-from live_sources import Clock, clock, read_clock
+from live_sources import Clock, clock, read_clock, write_film
 from photo_cases import photo, tiny_net
 from PIL import Image
 
@@ -31,7 +31,8 @@ from lightfield_gs.io.images import Picture
 from lightfield_gs.live.detail import Detail
 from lightfield_gs.live.drawing import LiveRenderer
 from lightfield_gs.live.health import Health, Span
-from lightfield_gs.live.outs import PageOut
+from lightfield_gs.live.outs import Drawn
+from lightfield_gs.live.page import PageOut
 from lightfield_gs.live.pipeline import Pipeline
 from lightfield_gs.live.reader import Reader
 from lightfield_gs.live.scenes import LiveScenes
@@ -41,7 +42,7 @@ from lightfield_gs.show.page.server import Server
 from lightfield_gs.video.decoding import decode, timeline
 from lightfield_gs.video.rendering import FrameOptions, NativeRenderer
 
-av = pytest.importorskip("av", reason="live sources need the extra `video`")
+pytest.importorskip("av", reason="live sources need the extra `video`")
 PANEL = Panel.load("toy-8v")
 WHITE = FrameOptions()
 
@@ -113,17 +114,6 @@ def test_a_clock_is_read_back_from_the_panels_picture():
         scenes.settle(iter(frames[3:4]))
         drawn = [draw(scene, scenes.rig, 0).numpy() for _, scene in scenes(iter(frames))]
     assert [read_clock(image, PANEL) for image in drawn] == numbers
-
-
-def write_film(path: Path, frames: Iterable[np.ndarray]) -> Path:
-    """Write frames uint8 [40, 80, 3], five a second, without loss."""
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("ffv1", rate=5)
-        stream.height, stream.width, stream.pix_fmt = 40, 80, "bgr0"
-        for frame in frames:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
-        container.mux(stream.encode(None))
-    return path
 
 
 @pytest.fixture
@@ -266,7 +256,9 @@ def test_the_page_follows_pixel_for_pixel(tmp_path):
         browser.open(server.url + "/")
         for number in (1, 2, 3):
             pixels = random.integers(0, 256, (480, 640, 3), np.uint8)
-            page.put(Frame(number, time.monotonic(), lambda scaling, p=pixels: Picture(p)), pixels)
+            page.put(
+                Frame(number, time.monotonic(), lambda scaling, p=pixels: Picture(p)), Drawn(torch.from_numpy(pixels))
+            )
             browser.wait(f"document.body?.dataset.version === '{number}'")
             np.testing.assert_array_equal(browser.screenshot(), pixels)
     finally:

@@ -9,6 +9,7 @@
 #include "math/colour_circle.h"
 #include "math/colour_polynomial.h"
 #include "math/harmonics.h"
+#include "math/rig_gradient.h"
 #include "stages/stages.h"
 
 namespace lfgs {
@@ -29,34 +30,6 @@ void store_on_circle(int degree, const T* sh, const ColourCircle<double>& circle
   colours[kPlaceTerm * kColourStride + 3] = T(circle.place);
   colours[kDistanceTerm * kColourStride + 3] = T(circle.distance);
 }
-
-// The gradient of a rig. Those of its centre and x-axis, where colours are seen from, are apart from the pose.
-struct RigGradient {
-  CameraGradient<double> pose;
-  OpticsGradient<double> optics;
-  dvec3 centre{0}, right{0};
-
-  // Add the gradient of where the camera at s stands.
-  void add_eye(const Camera<double>& rig, double s, const dvec3& g_eye) {
-    centre += g_eye, right += s * rig.sweep * g_eye;
-    optics[kSweep] += s * glm::dot(g_eye, rig.right());
-  }
-  RigGradient& operator+=(const RigGradient& other) {
-    pose.rotation += other.pose.rotation, pose.translation += other.pose.translation;
-    optics += other.optics, centre += other.centre, right += other.right;
-    return *this;
-  }
-  // Write it as project_direct_backward says. The centre is -R^T t, the x-axis the first row of R.
-  void store(const Camera<double>& rig, double* out) const {
-    glm::dmat3 rotation = pose.rotation + glm::outerProduct(-rig.translation, centre);
-    const dvec3 translation = pose.translation - rig.rotation * centre;
-    for (int column = 0; column < 3; ++column) rotation[column][0] += right[column];
-    for (int row = 0; row < 4; ++row)
-      for (int column = 0; column < 4; ++column)
-        out[4 * row + column] = row == 3 ? 0 : column == 3 ? translation[row] : rotation[column][row];
-    std::copy_n(optics.numbers, int(kRigOptics), out + 16);
-  }
-};
 
 }  // namespace
 
@@ -169,10 +142,7 @@ void project_direct_backward(const Gaussians<const T>& gaussians, const Camera<d
         const dvec3 g_mean = circle_colour_backward(gaussians.sh_degree, gaussians.sh + first, circle,
                                                     g_intersection.colours(), out.sh + first, &g_circle);
         g.mean += g_mean;
-        if (g_rig) {
-          const LineGradient<double> g_line(rig, circle, g_circle);
-          of_rig.centre -= g_mean, of_rig.right += g_line.right, of_rig.optics[kSweep] += g_line.sweep;
-        }
+        if (g_rig) of_rig.add_circle(rig, circle, g_circle, g_mean);
         add_gradient(shape, g, out, i);
         continue;
       }
@@ -190,7 +160,8 @@ void project_direct_backward(const Gaussians<const T>& gaussians, const Camera<d
   if (!g_rig) return;
   RigGradient all;
   for (const RigGradient& one : partial) all += one;
-  all.store(rig, g_rig);
+  all.to_pose(rig);
+  for (int k = 0; k < kRigNumbers; ++k) g_rig[k] = all.number(k);
 }
 
 #define LFGS_INSTANTIATE(T)                                                                                       \

@@ -92,7 +92,8 @@ __device__ inline uint8_t stored(float c, uint8_t*) {
 }
 
 // The sum over the lanes of a warp, in a fixed order; every lane receives it.
-__device__ inline float warp_sum(float v) {
+template <class T>
+__device__ T warp_sum(T v) {
   for (int step = 16; step > 0; step /= 2) v += __shfl_xor_sync(~0u, v, step);
   return v;
 }
@@ -100,6 +101,23 @@ __device__ inline float warp_sum(float v) {
 __device__ inline float warp_max(float v) {
   for (int step = 16; step > 0; step /= 2) v = fmaxf(v, __shfl_xor_sync(~0u, v, step));
   return v;
+}
+
+// Write the sums of a block over its threads' numbers to `out`, always in the same order: over each warp, then over the
+// warps. number(k) is a thread's number k of kNumbers.
+template <int kWarps, int kNumbers, class T, class Number>
+__device__ void store_block_sums(const Number& number, T (&partial)[kWarps][kNumbers], T* out) {
+  for (int k = 0; k < kNumbers; ++k) {
+    const T sum = warp_sum(number(k));
+    if (threadIdx.x % 32 == 0) partial[threadIdx.x / 32][k] = sum;
+  }
+  __syncthreads();
+  if (threadIdx.x < kNumbers) {
+    T sum = 0;
+    for (int w = 0; w < kWarps; ++w) sum += partial[w][threadIdx.x];
+    out[threadIdx.x] = sum;
+  }
+  __syncthreads();
 }
 
 // The sum of the numbers of a warp's lanes, up to and with this lane's.

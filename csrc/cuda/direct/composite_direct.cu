@@ -1,6 +1,6 @@
 // Stage composite for the panel on the device, and its backward pass, with gradients. The forward pass reads the splats
 // and the sorted intersections, and writes the image. The backward pass reads the image and its gradient, and writes
-// the sums of every intersection and of the background.
+// the sums of every intersection, of the background and, on request, of the samples' offsets.
 //
 // The list of a tile of pixels has all splats that may touch it, seen from anywhere on the rig. A block draws a tile of
 // 32 x 16 pixels, and a warp 16 x 4 of them. A lane has two pixels two rows apart: six sub-pixels, each at its own
@@ -117,6 +117,39 @@ __device__ __noinline__ void circle_sums(const float* colour, const Sample (&sam
   if (lane == 0) out[kAlongSum] = along, out[kAcrossSum] = across;
 }
 
+// The derivative of a splat's colour by the offset of a sample, before the colour is clamped at zero.
+__device__ inline float colour_slope(const float* colour, int order, const Sample& sample) {
+  if (order == kCircleOrder) {  // the angle grows by h^2 / distance
+    auto term = [&](int m) { return __ldg(colour + m * kColourStride + sample.channel); };
+    const CirclePoint<float> point = circle_point(colour, sample);
+    return point.slope(term) * point.h * point.h / __ldg(colour + kDistanceTerm * kColourStride + 3);
+  }
+  float slope = 0;
+  for (int p = order; p >= 1; --p)
+    slope = fmaf(slope, sample.s, float(p) * __ldg(colour + p * kColourStride + sample.channel));
+  return slope;
+}
+
+// The derivative of a quadratic k0 + k1 s + k2 s^2.
+__device__ inline float quadratic_slope(float k1, float k2, float s) { return fmaf(2 * k2, s, k1); }
+
+// Write the sums over a warp of the gradients of its samples' offsets, as kLensSums says.
+__device__ void offset_sums(const ThreadSamples& mine, const float (&g)[kRows][3], float* out) {
+  static_assert(kWarpHeight == kCellPeriod && kWarpWidth % kCellPeriod == 0);
+  const int lane = threadIdx.x % 32, column = lane % kWarpWidth;
+  float rows = 0, columns = 0;
+  for (int r = 0; r < kRows; ++r)
+    for (int c = 0; c < 3; ++c) {
+      rows += g[r][c] * float(mine.image_row(r)), columns += g[r][c] * float(mine.x0 + mine.column);
+      float sum = g[r][c];
+      for (int step = kCellPeriod; step < kWarpWidth; step *= 2) sum += __shfl_xor_sync(~0u, sum, step);
+      const int place = mine.image_row(r) % kCellPeriod * kCellPeriod + column;
+      if (column < kCellPeriod) out[3 * place + c] = sum;
+    }
+  rows = warp_sum(rows), columns = warp_sum(columns);
+  if (lane == 0) out[kPlaceSums] = rows, out[kPlaceSums + 1] = columns;
+}
+
 // Draw a tile, a block each. The block stages splats in batches; every warp goes through a batch on its own, and
 // passes over the splats that cannot touch its pixels.
 template <bool kCompensated>
@@ -190,13 +223,13 @@ __global__ void __launch_bounds__(kThreads)
 // The backward pass: writes the sums of every intersection of a tile, a block each; see over_backward() for the
 // formula. It goes over the splats front to back, as forward; a sample's `colour` holds the prefix of the formula. The
 // sums over a tile run first within each warp, then over the warps, always in the same order. So the bits are always
-// the same.
-template <bool kCompensated>
+// the same. kLens: it also writes the sums of the offsets' gradients.
+template <bool kCompensated, bool kLens>
 __global__ void __launch_bounds__(kThreads)
     composite_direct_backward_kernel(Splats<float> splats, Image image, const int64_t* ranges,
                                      Intersections intersections, Lens lens, float s_start, float s_step,
                                      const float* pixels, const float* gradient, float* intersection_gradients,
-                                     float* tile_background) {
+                                     float* tile_background, float* tile_lens) {
   __shared__ Splat<float> staged[kBackwardBatch];
   __shared__ uint32_t indices[kBackwardBatch], ids[kBackwardBatch];
   __shared__ float partial[kThreads / 32][kBackwardBatch][kMostSums<kCompensated>];
@@ -209,6 +242,7 @@ __global__ void __launch_bounds__(kThreads)
   const ThreadSamples mine(image);
   Sample samples[kRows][3];
   float g[kRows][3], total[kRows][3];
+  [[maybe_unused]] float g_offset[kRows][3] = {};
   for (int r = 0; r < kRows; ++r)
     for (int k = 0; k < 3; ++k) {
       samples[r][k] = mine.sample(image, lens, s_start, s_step, r, k);
@@ -283,6 +317,18 @@ __global__ void __launch_bounds__(kThreads)
           // The colour, where it was not clamped at zero. A polynomial of order 0 was clamped by the stage project,
           // whose backward pass takes care of that
           term[r][c] = order == 0 || value > 0 ? g[r][c] * weight : 0.f;
+
+          // The offset: the footprint's mean in this row moves by M1, and S(s) and the colour change
+          if constexpr (kLens) {
+            const float S_slope = quadratic_slope(s.S1, s.S2, sample.s);
+            float by_s = e * fmaf(e, S_slope, 2 * M1);
+            if constexpr (kCompensated) {
+              const float D_slope = quadratic_slope(compensation.D1, compensation.D2, sample.s);
+              const float of_D = D_slope / unfiltered(compensation, sample.s);
+              by_s += float(0.5 / kLn2) * (of_D - S_slope * inverse_S);
+            }
+            g_offset[r][c] += gp * by_s + term[r][c] * colour_slope(colour, order, sample);
+          }
         }
       }
 
@@ -323,11 +369,20 @@ __global__ void __launch_bounds__(kThreads)
     behind = warp_sum(behind);
     if (lane == 0) partial[warp][0][samples[0][c].channel] = behind;
   }
+  if constexpr (kLens) offset_sums(mine, g_offset, partial[warp][1]);
   __syncthreads();
   if (threadIdx.x < 3) {
     float sum = 0;
     for (int w = 0; w < kThreads / 32; ++w) sum += partial[w][0][threadIdx.x];
     tile_background[3 * int64_t(blockIdx.x) + threadIdx.x] = sum;
+  }
+  if constexpr (kLens) {
+    static_assert(kLensSums <= kMostSums<kCompensated>);
+    if (threadIdx.x < kLensSums) {
+      float sum = 0;
+      for (int w = 0; w < kThreads / 32; ++w) sum += partial[w][1][threadIdx.x];
+      tile_lens[kLensSums * int64_t(blockIdx.x) + threadIdx.x] = sum;
+    }
   }
 }
 
@@ -347,13 +402,17 @@ void composite_direct(const Splats<float>& splats, const Image& image, const int
 void composite_direct_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                                const Intersections& intersections, const Lens& lens, const float* pixels,
                                const float* gradient, float* intersection_gradients, float* tile_background,
-                               Stream stream) {
+                               float* tile_lens, Stream stream) {
   const float start = float(lens.s_start()), step = float(lens.s_step());
   const unsigned tiles = unsigned(tile_count(image.tile, image.width_px, image.height_px));
+  const bool compensated = splats.compensations;
   const auto kernel =
-      splats.compensations ? composite_direct_backward_kernel<true> : composite_direct_backward_kernel<false>;
+      tile_lens
+          ? (compensated ? composite_direct_backward_kernel<true, true> : composite_direct_backward_kernel<false, true>)
+          : (compensated ? composite_direct_backward_kernel<true, false>
+                         : composite_direct_backward_kernel<false, false>);
   kernel<<<tiles, kThreads, 0, cudaStream_t(stream)>>>(splats, image, ranges, intersections, lens, start, step, pixels,
-                                                       gradient, intersection_gradients, tile_background);
+                                                       gradient, intersection_gradients, tile_background, tile_lens);
   check_launch("composite_direct_backward");
 }
 

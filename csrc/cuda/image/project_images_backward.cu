@@ -285,22 +285,6 @@ struct HarmonicRows {
   }
 };
 
-// Write the sums of a block over its threads' gradients of a camera to `out`: over each warp, then over the warps.
-template <class G>
-__device__ void store_camera(const G& g, float (&partial)[kWarps][G::kCameraNumbers], float* out) {
-  for (int f = 0; f < G::kCameraNumbers; ++f) {
-    const float sum = warp_sum(g.camera_number(f));
-    if (threadIdx.x % 32 == 0) partial[threadIdx.x / 32][f] = sum;
-  }
-  __syncthreads();
-  if (threadIdx.x < G::kCameraNumbers) {
-    float sum = 0;
-    for (int w = 0; w < kWarps; ++w) sum += partial[w][threadIdx.x];
-    out[threadIdx.x] = sum;
-  }
-  __syncthreads();
-}
-
 // Whether Gaussian `i` of a scene has a gradient from any of its cameras.
 __device__ bool is_lit(const AllSums& sums, const Cameras<float>& cameras, int64_t scene, int64_t n, int64_t i) {
   bool lit = false;
@@ -399,7 +383,8 @@ __global__ void __launch_bounds__(kThreads, kOptics<G> ? 2
     }
     if (screen && real) store_place(g.place, of_splat, sums.absolute, screen, index);
     if constexpr (kCameras)
-      store_camera(g, partial, camera_partials + (image * gridDim.x + blockIdx.x) * G::kCameraNumbers);
+      store_block_sums([&](int k) { return g.camera_number(k); }, partial,
+                       camera_partials + (image * gridDim.x + blockIdx.x) * G::kCameraNumbers);
   }
   if (real) store_gradient(shape, g.shape, g_own, i);
   in_fours ? g_rows.store(g_sh, lit) : g_rows.store_one_by_one(g_sh, lit, int(min(int64_t(32), n - first)));

@@ -141,12 +141,19 @@ void project_images_backward(const Gaussians<const float>& gaussians, const Came
                              const Gaussians<float>& out, float* screen, bool absolute, float* camera_partials,
                              bool optics, Stream stream);
 
+// tile_lens [tiles, kLensSums], or null, receives the sums over a tile of the gradients g of the normalized offsets s
+// of sub-pixels. They are the sums of g by row and column modulo kCellPeriod and by channel, then of g times the row
+// and of g times the column. rig_partials [rig_blocks(N), kRigNumbers], or null, receives the gradients of the rig (see
+// RigGradient::number()), which the caller sums over the blocks.
+constexpr int kPlaceSums = 3 * kCellPeriod * kCellPeriod, kLensSums = kPlaceSums + 2;
+int64_t rig_blocks(int64_t gaussians);
 void composite_direct_backward(const Splats<float>& splats, const Image& image, const int64_t* ranges,
                                const Intersections& intersections, const Lens& lens, const float* pixels,
                                const float* gradient, float* intersection_gradients, float* tile_background,
-                               Stream stream);
+                               float* tile_lens, Stream stream);
 void project_direct_backward(const Gaussians<const float>& gaussians, const Camera<double>& rig,
                              const Splats<float>& splats, const IntersectionRange* intersection_ranges,
-                             const float* intersection_gradients, const Gaussians<float>& out, Stream stream);
+                             const float* intersection_gradients, const Gaussians<float>& out, double* rig_partials,
+                             Stream stream);
 
 }  // namespace lfgs::cuda

@@ -7,19 +7,21 @@ from pathlib import Path
 
 from lightfield_gs.base.options import QUALITY_NAMES, VIEWS
 from lightfield_gs.commands.options import groups
+from lightfield_gs.commands.options.eyes import add_eyes
 from lightfield_gs.commands.options.groups import in_group, rarely
 from lightfield_gs.commands.options.messages import add_quiet
 from lightfield_gs.commands.options.panel import add_drawing_device, add_look, add_panel, add_rendering
 from lightfield_gs.commands.options.parser import Parser, whole, within
 from lightfield_gs.commands.options.scene import add_photo
 from lightfield_gs.commands.options.serving import add_serving
+from lightfield_gs.commands.options.stereo import add_stereo
 from lightfield_gs.commands.options.video import add_codec, add_fps
 
 
 def add_arguments(parser: Parser) -> None:
     """Add the arguments of `lightfield-gs live`."""
     parser.description = "Show a camera, the screen, a stream or a film on the 3D display, while it happens."
-    parser.epilog = "A browser shows it on the display. A line a second says how it fares. Ctrl-C ends it."
+    parser.epilog = "A browser or a window shows it on the display. A line a second says how it fares. Ctrl-C ends it."
     parser.text.examples = (
         ("live camera:0 --depth auto", "a camera, whole, in depth"),
         ("live camera:0 --remove-background", "who sits before it, alone"),
@@ -43,6 +45,20 @@ def add_arguments(parser: Parser) -> None:
         help="record the picture of the panel, without loss: .mkv, .mp4 or .mov, which `show` plays",
     )
     add_codec(add, "of the recording: h264-rgb (default of .mp4 and .mov) or ffv1 (default of .mkv)")
+    add(
+        "--window",
+        action="store_true",
+        short="a window on the display in place of the browser",
+        help="show it in a window over the display's whole screen in place of the browser: at the screen's own rate, "
+        "and from CUDA without a copy through the host (pip install 'lightfield-gs[window]'). Escape or Q ends it",
+    )
+    add(
+        "--virtual-camera",
+        metavar="DEVICE",
+        short="a camera for calls: both eyes side by side",
+        help="write the pictures of two eyes (--stereo, default half-sbs of 1280 x 720) to a virtual camera, for calls "
+        "and OBS Studio, in place of the browser: /dev/videoN or a part of its name. Linux, v4l2loopback",
+    )
     add = in_group(parser.add_argument, groups.MOTION)
     add("--loop", action="store_true", short="begin a film again at its end", help="begin a video again at its end")
     add(
@@ -68,7 +84,9 @@ def add_arguments(parser: Parser) -> None:
         help="put behind things in front what was seen there before, while the camera stands still (default: yes)",
     )
     add_panel(parser.add_argument, "for framing")
+    add_eyes(parser.add_argument)
     add_look(parser.add_argument)
+    add_stereo(rarely(parser.add_argument), "--stereo and --eyes")
     add_photo(parser.add_argument, "cut the object out of each picture with rembg, as `encode` does")
     add = in_group(parser.add_argument, groups.DRAWING)
     add("--views", choices=VIEWS, default="integer", help="as in `encode` (default integer)")

@@ -34,7 +34,7 @@ _MOST = 10_000_000
 _SETTINGS = {"gaussians": "cap_max", "absolute_gradients": "absgrad", "views_per_step": "batch_size"}
 # Options that depend on --quick: usual values, and those of a first look by device. Those of a CPU were chosen on the
 # banana of the package (14 photographs), for a minute on two cores; their quality was reported on no other capture
-_USUAL: dict[str, Any] = {"longest_px": None, "steps": 30_000, "gaussians": 300_000, "sh_degree": 3, "init_scale": 1.0}
+_USUAL: dict[str, Any] = {"longest_px": None, "steps": 30_000, "gaussians": 300_000, "sh_degree": 3, "init_scale": 0.3}
 _QUICK = {
     "cpu": _USUAL | {"longest_px": 320, "steps": 1500, "gaussians": 15_000, "sh_degree": 2, "init_scale": 0.1},
     "cuda": _USUAL | {"steps": 7000},

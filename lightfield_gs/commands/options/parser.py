@@ -20,7 +20,7 @@ from lightfield_gs.panels.display_kinds import DISPLAY_KINDS, kind_name
 
 # Options whose values may begin with a minus sign
 _VECTOR_OPTIONS: tuple[str, ...] = ("--eye", "--eyes", "--background", "--depth-range", "--intrinsics", "--up", "--pan")
-_VECTOR_OPTIONS += ("--shift", "--corners")
+_VECTOR_OPTIONS += ("--shift", "--corners", "--tracker-at")
 _VECTOR_OPTIONS += tuple(f"--{what}-by" for what in ("pitch", "slope", "centre", "line-number", "slant", "phase"))
 _UNITS = {"B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 

@@ -11,7 +11,6 @@ from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.browser_data import host_tables, rig_numbers
 from lightfield_gs.show.page.server import Answer, Query, Reservation, Route, as_json, text
 from lightfield_gs.show.page.stage import Stage
-from lightfield_gs.show.page.stereo_stage import StereoStage
 from lightfield_gs.show.scripts import joined
 
 _SCRIPT = Path(__file__).parent / "files" / "view" / "drawing.js"
@@ -23,10 +22,10 @@ def drawing_routes(stage: Stage) -> dict[str, Route]:
     """Return the addresses from which the pages take a scene and what draws it."""
 
     def data(query: Query) -> Answer:
-        """Return what draws the scene, or null where the server does: on a GPU, of a large scene, a film, two eyes."""
+        """Return what draws the scene, or null where the server does: on a GPU, of a large scene, a film, for eyes."""
         floats = stage.gaussians.count * (_GAUSSIAN_FLOATS + 3 * stage.gaussians.sh.shape[1])
         is_film = stage.scene.film is not None
-        if stage.is_live or is_film or isinstance(stage, StereoStage) or 4 * floats > _MOST_BYTES:
+        if stage.is_live or is_film or not stage.is_for_browsers or 4 * floats > _MOST_BYTES:
             return as_json(None)
         panel, scene = stage.panel, stage.scene
         return as_json(

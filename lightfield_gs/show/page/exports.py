@@ -26,8 +26,11 @@ Exports = dict[str, Callable[[Controls, Path], None]]
 
 def exports(stage: Stage) -> Exports:
     """Return functions that write a file to a path, by the file's name."""
+    pictures: Exports
     if isinstance(stage, StereoStage):
         pictures = {stereo_paths(Path("eyes.png"), stage.layout)[0].name: partial(_eyes, stage)}
+    elif stage.is_tracked:
+        pictures = {}  # for eyes that are elsewhere by then
     else:
         layout = panel_quilt(stage.panel)
         pictures = {"native.png": partial(_native, stage), f"quilt{layout.suffix}.png": partial(_quilt, stage, layout)}

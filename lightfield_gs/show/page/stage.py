@@ -175,12 +175,16 @@ class Stage:
         device: See `encode`.
     """
 
+    fills_screen = False  # whether the panel's page shows the picture as large as the screen, not pixel for pixel
+    is_tracked = False  # whether the picture follows the viewer's eyes
+    is_for_browsers = True  # whether a browser may draw the scene by itself
+
     def __init__(self, scene: StagedScene, panel: Panel, device: str | None = None):
         self.scene, self.panel, self._device = scene, panel, device
         self.is_live = scene.gaussians.device.type == "cuda"
         self.version, self.number = 0, 0  # count the resting states of the page, and its scenes
         self._settled, self._changed = Controls(), threading.Condition()
-        self._native: tuple[Controls, np.ndarray] | None = None
+        self._native: tuple[object, np.ndarray] | None = None
         self._moving: tuple[tuple[str, str], Encoder] | None = None
 
     def place(self, scene: StagedScene) -> None:
@@ -276,11 +280,12 @@ class Stage:
 
         The times are {} for the same picture as before.
         """
-        if self._native is not None and self._native[0] == controls.picture():
+        state = self._state(controls)
+        if self._native is not None and self._native[0] == state:
             return self._native[1], {}
         stats: dict = {}
         image = self._encoded(self.panel, self._rig(controls), controls, stats)
-        self._native = controls.picture(), image
+        self._native = state, image
         return image, dict(stats["stages_ms"])
 
     def settle(self, controls: Controls) -> None:
@@ -333,6 +338,10 @@ class Stage:
         return self._rig(controls).relative_to([-part for part in self.gaussians.origin])
 
     # How it is drawn
+
+    def _state(self, controls: Controls) -> object:
+        """Return what the native picture depends on."""
+        return controls.picture()
 
     def _rig(self, controls: Controls) -> Rig:
         return controls.rig(self.base, self.panel)

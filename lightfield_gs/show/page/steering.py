@@ -22,7 +22,6 @@ from lightfield_gs.show.page.looks import LookStore, look_routes
 from lightfield_gs.show.page.routes import WAIT_S, panel_routes
 from lightfield_gs.show.page.server import Answer, Query, Reservation, Route, as_json, number, page_file, text
 from lightfield_gs.show.page.stage import RANGES, Controls, Picture, Stage
-from lightfield_gs.show.page.stereo_stage import StereoStage
 from lightfield_gs.show.preview import image_bytes
 
 _JPEG_QUALITY = 85
@@ -68,7 +67,7 @@ def steering_routes(
             stage.panel,
             steering.native,
             lambda after: stage.wait_for(after, WAIT_S),
-            fills=isinstance(stage, StereoStage),
+            fills=stage.fills_screen,
             controls=lambda: {**asdict(stage.resting()), "scene": stage.number},
         ),
     }
@@ -166,6 +165,7 @@ def _facts(stage: Stage) -> dict[str, object]:
         "gaussians": stage.gaussians.count,
         "device": stage.gaussians.device.type,
         "live": stage.is_live,
+        "tracked": stage.is_tracked,
         "film": None if film is None else {"count": film.count, "fps": film.fps},
         "panel": {**panel.to_dict(), "pitch_mm": panel.pixel_pitch_mm, "distance_mm": distance},
         "zone_mm": None if missing_geometry(panel) else 2 * stage.eye_mm(Controls(eye=0.5))[0],

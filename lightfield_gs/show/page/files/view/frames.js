@@ -1,7 +1,7 @@
 // Asks for pictures. One request at a time for what moves, each with the whole state; when nothing has moved for a while,
 // the same in full. Older answers are dropped, so that the page never lags behind the hand.
 
-import { find, post } from "./dom.js";
+import { answerOf, find, post } from "./dom.js";
 import { openDrawing } from "./drawing.js";
 import { fit, pictureOf, show, showTimes } from "./pictures.js";
 
@@ -103,6 +103,21 @@ export class Frames {
       this.failed(error);
     } finally {
       this.isDrawing = false;
+    }
+  }
+
+  /** Draws again whenever the viewer's eyes have moved, unless the hand moves something. */
+  async follow() {
+    for (let version = -1; ; ) {
+      try {
+        ({ version } = await (await answerOf(`panel.json?after=${version}`)).json());
+        if (this.isDrawing || this.drawn !== this.moves) continue;
+        const pane = this.mode === "split" ? "eye" : this.mode, began = performance.now();
+        this.lay(pane, await this.draw(pane, false), false);
+        this.adapt(performance.now() - began);
+      } catch {
+        await new Promise((done) => setTimeout(done, 1000)); // another picture opens, or the program has ended
+      }
     }
   }
 

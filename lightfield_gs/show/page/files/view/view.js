@@ -76,6 +76,7 @@ async function open() {
   find("#about").textContent = `for the display ${panel.name}, ${panel.width_px} × ${panel.height_px}`;
   const half = scene.zone_mm === null ? `${(panel.cone_deg / 2).toFixed(0)}°` : `${(scene.zone_mm / 20).toFixed(0)} cm`;
   find("#zone-left").textContent = `${half} left`;
+  find("#look-from").hidden = scene.tracked;
   find("#zone-right").textContent = `${half} right`;
   const isFirst = !frames;
   if (isFirst) begin(scene);
@@ -87,6 +88,7 @@ async function open() {
   for (const pane of Object.keys(panes)) frames.refit(pane);
   changed();
   if (isFirst) listen(state, frames, panes, told);
+  if (isFirst && scene.tracked) frames.follow();
   frames.drawHere();
   return scene;
 }

@@ -1,0 +1,82 @@
+"""The screen before which eyes are tracked: a panel with lenses, or a plain screen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lightfield_gs.app.options import EyesOptions, PanelOptions
+from lightfield_gs.app.own_eyes import OwnEyes, own_eyes
+from lightfield_gs.app.panel import is_display_connected, load_panel
+from lightfield_gs.base.cli_messages import note
+from lightfield_gs.base.errors import InputError
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.simulate import check_geometry
+from lightfield_gs.panels.stereo_screen import StereoScreen
+from lightfield_gs.panels.tracked_eyes import eye_crosstalk
+
+_TOO_MUCH = 0.1  # crosstalk from which on a picture is double
+
+
+@dataclass(frozen=True)
+class TrackedScreen:
+    """What tracked eyes look at.
+
+    Attributes:
+        panel: Its measures are in mm.
+        is_plain: Whether it has no lenses.
+        eye_distance_mm: Between the eyes.
+        messages: Lines on what was assumed.
+    """
+
+    panel: Panel
+    is_plain: bool
+    eye_distance_mm: float
+    messages: list[str]
+
+
+def refuse_eyes(options: EyesOptions) -> None:
+    """Raise InputError for options of tracked eyes without --eyes."""
+    for name in ("tracker_fov", "tracker_at"):
+        if getattr(options, name) is not None:
+            raise InputError(f"--{name.replace('_', '-')} is for --eyes; give it too, or leave this one out")
+
+
+def tracked_screen(options: EyesOptions, panel: PanelOptions, view_filter: float) -> TrackedScreen:
+    """Return the screen of --eyes: the panel that is named or connected, else a plain screen.
+
+    Args:
+        options: Of the eyes.
+        panel: Of the panel.
+        view_filter: See RenderOptions: two views have none between them.
+
+    Raises:
+        InputError: Options exclude each other, or before the panel no eye can be placed.
+    """
+    if view_filter:
+        raise InputError("--view-filter averages over views, and --eyes draws two alone; leave out one")
+    if options.screen_size is not None and panel.panel is not None:
+        raise InputError("--screen-size is of a screen without lenses, and --panel of one with lenses; leave out one")
+    is_plain = options.screen_size is not None or panel.panel is None and not is_display_connected()
+    is_open = options.eye_distance is None or is_plain and options.screen_size is None
+    own = own_eyes() if is_open else OwnEyes()
+    eyes_mm = options.eye_distance or own.eye_distance_mm
+    if is_plain:
+        width, height = options.eye_size or (StereoScreen.width_px, StereoScreen.height_px)
+        screen = StereoScreen(
+            width, height, options.screen_size or own.diagonal_in, viewing_distance_mm=panel.viewing_distance
+        )
+        why = "" if options.screen_size is not None else " (no 3D display was found: --panel; --screen-size INCHES)"
+        words = f"eyes: the picture follows them on a plain screen of {screen.diagonal_in:g} inches{why}"
+        return TrackedScreen(screen.panel(), True, eyes_mm, [words])
+    if options.eye_size is not None:
+        raise InputError("--eye-size is of a screen without lenses, and this panel has its own; leave it out")
+    lenses = load_panel(panel)
+    check_geometry(lenses)
+    distance = lenses.viewing_distance_mm
+    assert distance is not None
+    other = eye_crosstalk(lenses, [(-eyes_mm / 2, 0, distance), (eyes_mm / 2, 0, distance)])
+    words = f"{100 * other:.1f} % of the other eye's picture reaches each eye at {distance:g} mm, {eyes_mm:g} mm apart"
+    if other > _TOO_MUCH:
+        note(f"eyes: {words}: the lenses of panel {lenses.name} are too wide for two tracked eyes; leave --eyes out")
+        return TrackedScreen(lenses, False, eyes_mm, [])
+    return TrackedScreen(lenses, False, eyes_mm, [f"eyes: {words}"])
