@@ -83,8 +83,7 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     _check(options)
     fps = options.fps or DEFAULT_FPS
     source = open_source(options.source, float(fps), options.loop)
-    may_draw_fast = options.quality is None and options.ways.stereo.stereo is None  # two eyes' pictures have no quality
-    detail = Detail(float(fps), options.pixels, None if may_draw_fast else options.quality or "exact")
+    detail = Detail(float(fps), options.pixels, "exact" if _has_two_eyes(options) else options.quality)
     health = Health()
     ways = WaysOut(options.ways, options.panel, fps, health, stack, say_now)
     panel = ways.panel
@@ -126,6 +125,10 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
         say_next("show", ways.output)
 
 
+def _has_two_eyes(options: LiveOptions) -> bool:
+    return options.ways.stereo.stereo is not None or options.ways.virtual_camera is not None
+
+
 def _check(options: LiveOptions) -> None:
     """Raise InputError for options that a live picture cannot have."""
     photo = options.photo
@@ -140,8 +143,7 @@ def _check(options: LiveOptions) -> None:
     has_pair = photo.stereo_in not in (None, "none")
     is_deep = photo.depth is not None or photo.rgbd is not None or has_pair or is_rgbd_name(Path(options.source))
     check_photo_options(photo, is_deep)
-    has_two_eyes = options.ways.stereo.stereo is not None or options.ways.virtual_camera is not None
-    if has_two_eyes and (options.views, options.quality) != ("integer", "exact"):
+    if _has_two_eyes(options) and (options.views != "integer" or options.quality not in (None, "exact")):
         raise InputError("--views and --quality are of panels, and the picture is of two eyes; leave them out")
     if options.ways.output is not None:
         check_outputs((options.ways.output,), (options.source,))
