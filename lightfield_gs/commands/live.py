@@ -5,42 +5,31 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-import webbrowser
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 
 import torch
 
 from lightfield_gs.app.options import LookOptions, PanelOptions, PhotoOptions, RenderOptions
-from lightfield_gs.app.panel import BROWSER_OPENS, connected_position, load_panel, where_to_show
 from lightfield_gs.app.scene import check_photo_options
 from lightfield_gs.app.video import DEFAULT_FPS
 from lightfield_gs.base.cli_messages import as_options, capturable_streams, say, say_next, say_now
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.base.options import CodecName, QualityName, Views
+from lightfield_gs.base.options import QualityName, Views
+from lightfield_gs.commands.live_ways import WayOptions, WaysOut
 from lightfield_gs.commands.options.parser import read_options
-from lightfield_gs.commands.options.serving import ServingOptions, serve
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.live.detail import Detail
 from lightfield_gs.live.health import Health
-from lightfield_gs.live.outs import Out
-from lightfield_gs.live.page import PageOut
-from lightfield_gs.live.pipeline import Drawing, Pipeline
+from lightfield_gs.live.pipeline import Pipeline
 from lightfield_gs.live.reader import Reader
-from lightfield_gs.live.recording import Recording
 from lightfield_gs.live.scenes import LiveScenes
 from lightfield_gs.live.sources import open_source
-from lightfield_gs.live.window import WindowOut
-from lightfield_gs.panels.panel import Panel
 from lightfield_gs.photo.side_by_side import is_rgbd_name
-from lightfield_gs.show.display_browser import DisplayBrowser, find_browser
-from lightfield_gs.show.window.native_window import NativeWindow
-from lightfield_gs.video.rendering import FrameOptions, NativeRenderer
-from lightfield_gs.video.video_file import choose_codec
+from lightfield_gs.video.rendering import FrameOptions
 from lightfield_gs.webgpu.devices import choose_drawing_device
 
 _MANY_FRAMES = 100  # for the choice of a device, whose start they outweigh
@@ -59,12 +48,13 @@ class LiveOptions:
 
     Attributes:
         source: As `open_source` takes it.
-        window: Whether a window shows it, in place of the page.
-        output: Of the recording. None: nothing is recorded.
+        ways: Where it goes.
         loop: Whether a film begins again.
         seconds: After which it ends. None: at Ctrl-C, or at the end of a film.
         fps: Frames a second that are to be held.
-        pixels: Of a picture, at most. None: as many as hold the rate.
+        pixels: Of a picture, at most. None: as many as hold the rate, and no more than the panel shows.
+        quality: Of the drawing. None: exact, or fast where that is too slow.
+        remember: Whether what was seen behind things stays, while the camera stands still.
     """
 
     source: str
@@ -72,16 +62,14 @@ class LiveOptions:
     look: LookOptions
     photo: PhotoOptions
     render: RenderOptions
-    serving: ServingOptions
-    window: bool = False
-    output: Path | None = None
-    codec: CodecName | None = None
+    ways: WayOptions
     loop: bool = False
     seconds: float | None = None
     fps: Fraction | None = None
     pixels: int | None = None
+    remember: bool = True
     views: Views = "integer"
-    quality: QualityName = "exact"
+    quality: QualityName | None = None
     device: str = "auto"
 
 
@@ -95,18 +83,14 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     _check(options)
     fps = options.fps or DEFAULT_FPS
     source = open_source(options.source, float(fps), options.loop)
-    panel = load_panel(options.panel)
+    detail = Detail(float(fps), options.pixels, "exact" if _has_two_eyes(options) else options.quality)
+    health = Health()
+    ways = WaysOut(options.ways, options.panel, fps, health, stack, say_now)
+    panel = ways.panel
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
-    health, detail = Health(), Detail(float(fps), options.pixels)
-    front = _window(panel, options, health, stack) if options.window else _page(panel, options, health, stack)
-    outs: list[Out] = [front.out]
-    recording = None
-    if options.output is not None:
-        codec = choose_codec(options.output, "native", options.codec)
-        recording = Recording(options.output, panel, fps, codec, health)
-        outs.append(recording)
     reader = Reader(source, health.has_taken, say_now)
-    scenes = LiveScenes(source, options.photo, options.render, options.look, panel, device.torch, detail, health)
+    taken = options.photo, options.render, options.look, panel, device.torch, detail, health
+    scenes = LiveScenes(source, *taken, options.remember)
     reader.start()
     stack.callback(reader.stop)
     say_now(f"{source.name}: waiting for its first picture")
@@ -117,32 +101,32 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
         raise reader.failed or error from None
     how = scenes.drawn_as
     drawing = FrameOptions(
-        options.views, how.background, options.quality, how.antialiased, how.view_filter, device.webgpu
+        options.views, how.background, detail.quality, how.antialiased, how.view_filter, device.webgpu
     )
     height, width = detail.size_px
-    say(f"{source.name}: {width} x {height}, on panel {panel.name}", *device.messages, *scenes.messages)
+    say(f"{source.name}: {width} x {height}, on {ways.screen}", *device.messages, *scenes.messages)
     health.take()  # the start is no part of how it fares
-    end = _End(health, detail, options.seconds, front.hint)
-    drawings = [Drawing(NativeRenderer(panel, drawing, False), scenes.rig, outs)]
-    pipeline = Pipeline(reader, scenes, drawings, health, end.now)
-    if recording is not None:
-        recording.begin()
-        stack.callback(recording.end)
+    end = _End(health, detail, options.seconds, ways.hint)
+    pipeline = Pipeline(reader, scenes, ways.drawer(drawing, detail), ways.outs, health, end.now)
     began = time.monotonic()
 
-    def start(end_front: Callable[[], None]) -> None:
+    def start(end_showing: Callable[[], None]) -> None:
         pipeline.start()
-        end.start(end_front)
+        end.start(end_showing)
 
     try:
-        front.run(start)
+        ways.run(start)
     finally:
         end.now()
         pipeline.stop()
     seconds = time.monotonic() - began
     say(f"{health.drawn} frames in {seconds:.1f} s, of {health.taken} that came")
-    if options.output is not None and health.drawn:
-        say_next("show", options.output)
+    if ways.output is not None and health.drawn:
+        say_next("show", ways.output)
+
+
+def _has_two_eyes(options: LiveOptions) -> bool:
+    return options.ways.stereo.stereo is not None or options.ways.virtual_camera is not None
 
 
 def _check(options: LiveOptions) -> None:
@@ -159,59 +143,10 @@ def _check(options: LiveOptions) -> None:
     has_pair = photo.stereo_in not in (None, "none")
     is_deep = photo.depth is not None or photo.rgbd is not None or has_pair or is_rgbd_name(Path(options.source))
     check_photo_options(photo, is_deep)
-    if options.window and replace(options.serving, no_open=False) != ServingOptions():
-        raise InputError("--window takes the place of the page, of which --host and --port are; leave them out")
-    if options.output is not None:
-        check_outputs((options.output,), (options.source,))
-
-
-@dataclass(frozen=True)
-class _Front:
-    """What shows the picture to who sits here, and what the main thread does meanwhile.
-
-    Attributes:
-        out: Takes the pictures.
-        hint: Words of the health line where nobody takes the pictures.
-        run: Calls its argument with what ends it, from any thread; returns at the end, or at Ctrl-C.
-    """
-
-    out: Out
-    hint: str
-    run: Callable[[Callable[[Callable[[], None]], None]], None]
-
-
-def _window(panel: Panel, options: LiveOptions, health: Health, stack: ExitStack) -> _Front:
-    """Return the window. Raises InputError."""
-    position = connected_position()
-    window = NativeWindow((panel.width_px, panel.height_px), position, say_now)
-    stack.callback(window.close)
-    if options.panel.panel is None:
-        say(*where_to_show(panel, "the window opens there"))
-    out, is_over = WindowOut(window, health), threading.Event()
-
-    def run(start: Callable[[Callable[[], None]], None]) -> None:
-        window.open()
-        start(is_over.set)
-        try:
-            out.run(is_over)
-        except KeyboardInterrupt:
-            print("\nended")
-
-    return _Front(out, "", run)
-
-
-def _page(panel: Panel, options: LiveOptions, health: Health, stack: ExitStack) -> _Front:
-    """Return the page, which a browser of its own shows on the display where that is found, else the usual one."""
-    page = PageOut(panel, health)
-    position = None if options.serving.no_open else connected_position()
-    has_browser = position is not None and find_browser() is not None
-    if options.panel.panel is None:
-        say(*where_to_show(panel, BROWSER_OPENS if has_browser else None))
-    browser = DisplayBrowser(position, (panel.width_px, panel.height_px)) if has_browser else None
-    if browser is not None:
-        stack.callback(browser.close)
-    opened = webbrowser.open if browser is None else browser.open
-    return _Front(page, " (is the page open?)", partial(serve, options.serving, page.routes(), "/panel", opened))
+    if _has_two_eyes(options) and (options.views != "integer" or options.quality not in (None, "exact")):
+        raise InputError("--views and --quality are of panels, and the picture is of two eyes; leave them out")
+    if options.ways.output is not None:
+        check_outputs((options.ways.output,), (options.source,))
 
 
 class _End:

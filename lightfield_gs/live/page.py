@@ -18,10 +18,16 @@ _REMEMBERED = 8  # pictures, which slow readers may still be sent
 
 
 class PageOut:
-    """The picture of the panel's page: the newest alone."""
+    """The picture of the panel's page: the newest alone.
 
-    def __init__(self, panel: Panel, health: Health):
-        self._panel, self._health, self._changed = panel, health, threading.Condition()
+    Args:
+        panel: The panel, or a screen of two eyes.
+        health: Counts.
+        fills: See panel_routes.
+    """
+
+    def __init__(self, panel: Panel, health: Health, fills: bool = False):
+        self._panel, self._health, self._fills, self._changed = panel, health, fills, threading.Condition()
         self._version, self._pixels = 0, np.zeros((panel.height_px, panel.width_px, 3), np.uint8)
         self._frames: deque[tuple[int, Frame]] = deque(maxlen=_REMEMBERED)
 
@@ -36,7 +42,7 @@ class PageOut:
 
     def routes(self) -> dict[str, Route]:
         """Return the addresses of the page."""
-        routes = panel_routes(self._panel, self._now, self._wait_for, sent=self._sent)
+        routes = panel_routes(self._panel, self._now, self._wait_for, self._fills, sent=self._sent)
         return {**routes, "/": routes["/panel"]}
 
     def _now(self) -> tuple[int, np.ndarray]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -15,24 +14,8 @@ from lightfield_gs.live.reader import Reader
 from lightfield_gs.live.scenes import LiveScenes
 from lightfield_gs.live.slot import Slot
 from lightfield_gs.live.sources import Frame
-from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.video.rendering import FrameRenderer
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """A kind of picture that is drawn of each scene.
-
-    Attributes:
-        draw: Draws it, into memory that is the picture's own.
-        rig: By which it is drawn.
-        outs: Where it goes.
-    """
-
-    draw: FrameRenderer
-    rig: Rig
-    outs: Sequence[Out]
 
 
 class Pipeline:
@@ -41,18 +24,25 @@ class Pipeline:
     Args:
         reader: Reads the source; it has begun.
         scenes: Makes the scenes; it is settled.
-        drawings: What is drawn.
+        draw: Draws a picture, into memory that is the picture's own.
+        outs: Where the pictures go.
         health: Counts.
         ended: Called once, from one of the threads, when the last picture is out.
     """
 
     def __init__(
-        self, reader: Reader, scenes: LiveScenes, drawings: Sequence[Drawing], health: Health, ended: Callable[[], None]
+        self,
+        reader: Reader,
+        scenes: LiveScenes,
+        draw: FrameRenderer,
+        outs: Sequence[Out],
+        health: Health,
+        ended: Callable[[], None],
     ):
-        self._reader, self._scenes, self._drawings = reader, scenes, drawings
+        self._reader, self._scenes, self._draw, self._outs = reader, scenes, draw, outs
         self._health = health
         self._drawable: Slot[tuple[Frame, Gaussians]] = Slot()
-        self._drawn: Slot[tuple[Frame, list[Drawn]]] = Slot()
+        self._drawn: Slot[tuple[Frame, Drawn]] = Slot()
         self._failed: BaseException | None = None
         self._threads = [
             threading.Thread(target=self._run, args=(name, work, after), name=name, daemon=True)
@@ -97,15 +87,14 @@ class Pipeline:
     def _encode(self) -> None:
         for frame, gaussians in self._drawable:
             with self._health.busy("encode"):
-                drawn = [Drawn(_finished(one.draw(gaussians, one.rig, frame.number))) for one in self._drawings]
+                drawn = Drawn(_finished(self._draw(gaussians, self._scenes.rig, frame.number)))
             self._health.has_drawn()
             self._drawn.put((frame, drawn))
 
     def _put_out(self) -> None:
         for frame, drawn in self._drawn:
-            for drawing, picture in zip(self._drawings, drawn):
-                for out in drawing.outs:
-                    out.put(frame, picture)
+            for out in self._outs:
+                out.put(frame, drawn)
 
 
 def _finished(image: Tensor) -> Tensor:
