@@ -462,7 +462,7 @@ def _describe_loss(settings: FitSettings, own: Loss | None, device: str) -> str:
     if settings.loss == "l1-ssim":
         return "loss: l1-ssim, of pixels (wd is of texture, too)"
     slow = "; on a CPU a step takes about 100 times as long as with l1-ssim" if device == "cpu" else ""
-    return f"loss: WD-R, of the texture that VGG-16 sees, and at a low weight L1 and SSIM of the pixels{slow}"
+    return f"loss: WD-R, L1 and SSIM of the pixels, and from half of the steps on the texture that VGG-16 sees{slow}"
 
 
 def _describe_dropout(settings: FitSettings, photographs: int) -> list[str]:

@@ -373,7 +373,7 @@ def add_optimisation(add: Add) -> None:
         default="l1-ssim",
         short="wd: by texture, as VGG-16 sees it; for long fits on a GPU",
         help="comparison of renders with photographs. l1-ssim: pixel by pixel (Kerbl et al. 2023); wd: by the texture "
-        "that the network VGG-16 sees, and pixels at a low weight (WD-R, Ozyilkan et al. 2026), for long fits on "
+        "that the network VGG-16 sees, too, in the second half of the steps (WD-R, Ozyilkan et al. 2026), for fits on "
         "a GPU. Its weights are fetched once, 528 MB (default l1-ssim)",
     )
     add(
