@@ -52,7 +52,9 @@ class LiveOptions:
         loop: Whether a film begins again.
         seconds: After which it ends. None: at Ctrl-C, or at the end of a film.
         fps: Frames a second that are to be held.
-        pixels: Of a picture, at most. None: as many as hold the rate.
+        pixels: Of a picture, at most. None: as many as hold the rate, and no more than the panel shows.
+        quality: Of the drawing. None: exact, or fast where that is too slow.
+        remember: Whether what was seen behind things stays, while the camera stands still.
     """
 
     source: str
@@ -65,8 +67,9 @@ class LiveOptions:
     seconds: float | None = None
     fps: Fraction | None = None
     pixels: int | None = None
+    remember: bool = True
     views: Views = "integer"
-    quality: QualityName = "exact"
+    quality: QualityName | None = None
     device: str = "auto"
 
 
@@ -80,12 +83,14 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     _check(options)
     fps = options.fps or DEFAULT_FPS
     source = open_source(options.source, float(fps), options.loop)
-    health, detail = Health(), Detail(float(fps), options.pixels)
+    detail = Detail(float(fps), options.pixels, "exact" if _has_two_eyes(options) else options.quality)
+    health = Health()
     ways = WaysOut(options.ways, options.panel, fps, health, stack, say_now)
     panel = ways.panel
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
     reader = Reader(source, health.has_taken, say_now)
-    scenes = LiveScenes(source, options.photo, options.render, options.look, panel, device.torch, detail, health)
+    taken = options.photo, options.render, options.look, panel, device.torch, detail, health
+    scenes = LiveScenes(source, *taken, options.remember)
     reader.start()
     stack.callback(reader.stop)
     say_now(f"{source.name}: waiting for its first picture")
@@ -96,13 +101,13 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
         raise reader.failed or error from None
     how = scenes.drawn_as
     drawing = FrameOptions(
-        options.views, how.background, options.quality, how.antialiased, how.view_filter, device.webgpu
+        options.views, how.background, detail.quality, how.antialiased, how.view_filter, device.webgpu
     )
     height, width = detail.size_px
     say(f"{source.name}: {width} x {height}, on {ways.screen}", *device.messages, *scenes.messages)
     health.take()  # the start is no part of how it fares
     end = _End(health, detail, options.seconds, ways.hint)
-    pipeline = Pipeline(reader, scenes, ways.drawer(drawing), ways.outs, health, end.now)
+    pipeline = Pipeline(reader, scenes, ways.drawer(drawing, detail), ways.outs, health, end.now)
     began = time.monotonic()
 
     def start(end_showing: Callable[[], None]) -> None:
@@ -120,6 +125,10 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
         say_next("show", ways.output)
 
 
+def _has_two_eyes(options: LiveOptions) -> bool:
+    return options.ways.stereo.stereo is not None or options.ways.virtual_camera is not None
+
+
 def _check(options: LiveOptions) -> None:
     """Raise InputError for options that a live picture cannot have."""
     photo = options.photo
@@ -134,8 +143,7 @@ def _check(options: LiveOptions) -> None:
     has_pair = photo.stereo_in not in (None, "none")
     is_deep = photo.depth is not None or photo.rgbd is not None or has_pair or is_rgbd_name(Path(options.source))
     check_photo_options(photo, is_deep)
-    has_two_eyes = options.ways.stereo.stereo is not None or options.ways.virtual_camera is not None
-    if has_two_eyes and (options.views, options.quality) != ("integer", "exact"):
+    if _has_two_eyes(options) and (options.views != "integer" or options.quality not in (None, "exact")):
         raise InputError("--views and --quality are of panels, and the picture is of two eyes; leave them out")
     if options.ways.output is not None:
         check_outputs((options.ways.output,), (options.source,))
