@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lightfield_gs.app.options import EyesOptions, PanelOptions
@@ -15,6 +16,8 @@ from lightfield_gs.panels.stereo_screen import StereoScreen
 from lightfield_gs.panels.tracked_eyes import eye_crosstalk
 
 _TOO_MUCH = 0.1  # crosstalk from which on a picture is double
+
+TRACKER = ("tracker_fov", "tracker_at")
 
 
 @dataclass(frozen=True)
@@ -34,9 +37,9 @@ class TrackedScreen:
     messages: list[str]
 
 
-def refuse_eyes(options: EyesOptions) -> None:
-    """Raise InputError for options of tracked eyes without --eyes."""
-    for name in ("tracker_fov", "tracker_at"):
+def refuse_eyes(options: EyesOptions, names: Sequence[str]) -> None:
+    """Raise InputError for options of these names without --eyes, whose they are."""
+    for name in names:
         if getattr(options, name) is not None:
             raise InputError(f"--{name.replace('_', '-')} is for --eyes; give it too, or leave this one out")
 

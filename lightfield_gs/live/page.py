@@ -18,9 +18,16 @@ _REMEMBERED = 8  # pictures, which slow readers may still be sent
 
 
 class PageOut:
-    """The picture of the panel's page: the newest alone."""
+    """The picture of the panel's page: the newest alone.
 
-    def __init__(self, panel: Panel, health: Health):
+    Args:
+        panel: The panel.
+        health: Counts.
+        fills_screen: Whether the page shows the picture as large as the screen, not pixel for pixel.
+    """
+
+    def __init__(self, panel: Panel, health: Health, fills_screen: bool = False):
+        self._fills_screen = fills_screen
         self._panel, self._health, self._changed = panel, health, threading.Condition()
         self._version, self._pixels = 0, np.zeros((panel.height_px, panel.width_px, 3), np.uint8)
         self._frames: deque[tuple[int, Frame]] = deque(maxlen=_REMEMBERED)
@@ -36,10 +43,10 @@ class PageOut:
 
     def routes(self) -> dict[str, Route]:
         """Return the addresses of the page."""
-        routes = panel_routes(self._panel, self._now, self._wait_for, sent=self._sent)
-        return {**routes, "/": routes["/panel"]}
+        return panel_routes(self._panel, self.newest, self._wait_for, self._fills_screen, sent=self._sent)
 
-    def _now(self) -> tuple[int, np.ndarray]:
+    def newest(self) -> tuple[int, np.ndarray]:
+        """Return the newest picture, uint8 [H, W, 3], and its number."""
         with self._changed:
             return self._version, self._pixels
 

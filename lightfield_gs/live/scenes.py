@@ -57,10 +57,12 @@ class LiveScenes:
 
     Attributes:
         rig: Of all scenes, by the first picture.
+        first: The scene of the first picture.
         messages: Lines on what the first picture settled.
     """
 
     rig: Rig
+    first: Gaussians
 
     def __init__(
         self,
@@ -153,6 +155,7 @@ class LiveScenes:
         if photo.rgbd is not None or read.matched is not None:
             self.detail.take_halves(is_nearest=photo.rgbd is not None)
         self.rig, self.drawn_as, self._is_whole = rig, first.render, first.photo.is_whole
+        self.first = first.gaussians
         self._render = replace(self._render, background=first.render.background)
         self._photo = photo if photo.stereo_in else replace(photo, stereo_in="none")
         framing = "framing: all pictures as the first"

@@ -244,7 +244,7 @@ def test_the_page_follows_pixel_for_pixel(tmp_path):
     try:
         size = dict(width=640, height=480, screenWidth=640, screenHeight=480)
         browser.call("Emulation.setDeviceMetricsOverride", deviceScaleFactor=1, mobile=False, **size)
-        browser.open(server.url + "/")
+        browser.open(server.url + "/panel")
         for number in (1, 2, 3):
             pixels = random.integers(0, 256, (480, 640, 3), np.uint8)
             page.put(

@@ -106,11 +106,13 @@ export class Frames {
     }
   }
 
-  /** Draws again whenever the viewer's eyes have moved, unless the hand moves something. */
+  /** Draws again what changes by itself, unless the hand moves something: as soon as eyes have moved, or at times. */
   async follow() {
+    const { follow_ms } = this.state.scene;
     for (let version = -1; ; ) {
       try {
-        ({ version } = await (await answerOf(`panel.json?after=${version}`)).json());
+        if (follow_ms) await new Promise((done) => setTimeout(done, follow_ms));
+        else ({ version } = await (await answerOf(`panel.json?after=${version}`)).json());
         if (this.isDrawing || this.drawn !== this.moves) continue;
         const pane = this.mode === "split" ? "eye" : this.mode, began = performance.now();
         this.lay(pane, await this.draw(pane, false), false);

@@ -88,7 +88,7 @@ async function open() {
   for (const pane of Object.keys(panes)) frames.refit(pane);
   changed();
   if (isFirst) listen(state, frames, panes, told);
-  if (isFirst && scene.tracked) frames.follow();
+  if (isFirst && scene.follow_ms !== null) frames.follow();
   frames.drawHere();
   return scene;
 }
