@@ -21,14 +21,13 @@ class PageOut:
     """The picture of the panel's page: the newest alone.
 
     Args:
-        panel: The panel.
+        panel: The panel, or a screen of two eyes.
         health: Counts.
-        fills_screen: Whether the page shows the picture as large as the screen, not pixel for pixel.
+        fills: See panel_routes.
     """
 
-    def __init__(self, panel: Panel, health: Health, fills_screen: bool = False):
-        self._fills_screen = fills_screen
-        self._panel, self._health, self._changed = panel, health, threading.Condition()
+    def __init__(self, panel: Panel, health: Health, fills: bool = False):
+        self._panel, self._health, self._fills, self._changed = panel, health, fills, threading.Condition()
         self._version, self._pixels = 0, np.zeros((panel.height_px, panel.width_px, 3), np.uint8)
         self._frames: deque[tuple[int, Frame]] = deque(maxlen=_REMEMBERED)
 
@@ -43,7 +42,7 @@ class PageOut:
 
     def routes(self) -> dict[str, Route]:
         """Return the addresses of the page."""
-        return panel_routes(self._panel, self.newest, self._wait_for, self._fills_screen, sent=self._sent)
+        return panel_routes(self._panel, self.newest, self._wait_for, self._fills, sent=self._sent)
 
     def newest(self) -> tuple[int, np.ndarray]:
         """Return the newest picture, uint8 [H, W, 3], and its number."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 
 import torch
 from torch import Tensor
@@ -15,24 +14,10 @@ from lightfield_gs.live.reader import Reader
 from lightfield_gs.live.scenes import LiveScenes
 from lightfield_gs.live.slot import Slot
 from lightfield_gs.live.sources import Frame
-from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.video.rendering import FrameRenderer
 
-
-@dataclass(frozen=True)
-class Drawing:
-    """A kind of picture that is drawn of each scene.
-
-    Attributes:
-        draw: Draws it, into memory that is the picture's own.
-        rig: By which it is drawn.
-        outs: Where it goes.
-    """
-
-    draw: FrameRenderer
-    rig: Rig
-    outs: Sequence[Out]
+_REDRAW_S = 1 / 60  # between two looks at whether the picture would be another one
 
 
 class Pipeline:
@@ -41,18 +26,27 @@ class Pipeline:
     Args:
         reader: Reads the source; it has begun.
         scenes: Makes the scenes; it is settled.
-        drawings: What is drawn.
+        draw: Draws a picture, into memory that is the picture's own.
+        outs: Where the pictures go.
         health: Counts.
         ended: Called once, from one of the threads, when the last picture is out.
+        state: Returns what a picture depends on beside its scene, as the controls of a page.
     """
 
     def __init__(
-        self, reader: Reader, scenes: LiveScenes, drawings: Sequence[Drawing], health: Health, ended: Callable[[], None]
+        self,
+        reader: Reader,
+        scenes: LiveScenes,
+        draw: FrameRenderer,
+        outs: Sequence[Out],
+        health: Health,
+        ended: Callable[[], None],
+        state: Callable[[], object] = lambda: None,
     ):
-        self._reader, self._scenes, self._drawings = reader, scenes, drawings
-        self._health = health
+        self._reader, self._scenes, self._draw, self._outs = reader, scenes, draw, outs
+        self._health, self._state = health, state
         self._drawable: Slot[tuple[Frame, Gaussians]] = Slot()
-        self._drawn: Slot[tuple[Frame, list[Drawn]]] = Slot()
+        self._drawn: Slot[tuple[Frame, Drawn]] = Slot()
         self._failed: BaseException | None = None
         self._threads = [
             threading.Thread(target=self._run, args=(name, work, after), name=name, daemon=True)
@@ -64,7 +58,8 @@ class Pipeline:
         ]
 
     def start(self) -> None:
-        """Begin."""
+        """Begin, with the scene by which the others were settled."""
+        self._drawable.put(self._scenes.first)
         for thread in self._threads:
             thread.start()
 
@@ -95,17 +90,27 @@ class Pipeline:
             self._drawable.put(item)
 
     def _encode(self) -> None:
-        for frame, gaussians in self._drawable:
+        for frame, gaussians in self._to_draw():
             with self._health.busy("encode"):
-                drawn = [Drawn(_finished(one.draw(gaussians, one.rig, frame.number))) for one in self._drawings]
+                drawn = Drawn(_finished(self._draw(gaussians, self._scenes.rig, frame.number)))
             self._health.has_drawn()
             self._drawn.put((frame, drawn))
 
+    def _to_draw(self) -> Iterator[tuple[Frame, Gaussians]]:
+        """Yield scenes as they come, and the last one again where its picture would be another one by now."""
+        last, drawn_by = None, None
+        for item in self._drawable.within(_REDRAW_S):
+            now = self._state()
+            if item is None and (last is None or now == drawn_by):
+                continue
+            last, drawn_by = item or last, now
+            assert last is not None
+            yield last
+
     def _put_out(self) -> None:
         for frame, drawn in self._drawn:
-            for drawing, picture in zip(self._drawings, drawn):
-                for out in drawing.outs:
-                    out.put(frame, picture)
+            for out in self._outs:
+                out.put(frame, drawn)
 
 
 def _finished(image: Tensor) -> Tensor:

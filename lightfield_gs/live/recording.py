@@ -5,11 +5,10 @@ from __future__ import annotations
 from fractions import Fraction
 from pathlib import Path
 
-from lightfield_gs.base.options import CodecName
+from lightfield_gs.base.options import CodecName, StereoLayout
 from lightfield_gs.live.health import Health
 from lightfield_gs.live.outs import Drawn
 from lightfield_gs.live.sources import Frame
-from lightfield_gs.panels.panel import Panel
 from lightfield_gs.video.video_file import VideoFile
 
 
@@ -18,14 +17,23 @@ class Recording:
 
     Args:
         path: The file.
-        panel: The panel.
+        size_px: Width and height of a picture.
         fps: Steps of time a second: of frames that are nearer to each other, the first is kept.
         codec: See VideoFile.
+        stereo: See VideoFile.
         health: Counts the frames.
     """
 
-    def __init__(self, path: Path, panel: Panel, fps: Fraction, codec: CodecName, health: Health):
-        self._video = VideoFile(path, 0, (panel.width_px, panel.height_px), fps, codec)
+    def __init__(
+        self,
+        path: Path,
+        size_px: tuple[int, int],
+        fps: Fraction,
+        codec: CodecName,
+        stereo: StereoLayout | None,
+        health: Health,
+    ):
+        self._video = VideoFile(path, 0, size_px, fps, codec, stereo=stereo)
         self._fps, self._health = fps, health
         self._start: float | None = None
         self._last = -1

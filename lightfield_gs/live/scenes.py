@@ -57,12 +57,12 @@ class LiveScenes:
 
     Attributes:
         rig: Of all scenes, by the first picture.
-        first: The scene of the first picture.
+        first: The picture by which it was settled, and its scene.
         messages: Lines on what the first picture settled.
     """
 
     rig: Rig
-    first: Gaussians
+    first: tuple[Frame, Gaussians]
 
     def __init__(
         self,
@@ -91,7 +91,7 @@ class LiveScenes:
         for frame in frames:
             until = until or time.monotonic() + _PATIENCE_S
             try:
-                self._settle_by(self._picture(frame))
+                self.first = frame, self._settle_by(self._picture(frame))
                 return
             except _NotYetError:
                 if time.monotonic() > until:
@@ -129,8 +129,11 @@ class LiveScenes:
         self.detail.size_px = picture.pixels.shape[0], picture.pixels.shape[1]
         return picture
 
-    def _settle_by(self, picture: Picture) -> None:
-        """Take a picture as `video` takes the first of a film: from a file, by which it guesses what it is."""
+    def _settle_by(self, picture: Picture) -> Gaussians:
+        """Return the scene of a picture that is taken as `video` takes the first of a film.
+
+        It is taken from a file, by which `video` guesses what it is.
+        """
         lines: list[str] = []
         with scratch_folder() as folder:
             kind = ".exr" if picture.pixels.dtype == np.float32 else ".png"
@@ -155,11 +158,11 @@ class LiveScenes:
         if photo.rgbd is not None or read.matched is not None:
             self.detail.take_halves(is_nearest=photo.rgbd is not None)
         self.rig, self.drawn_as, self._is_whole = rig, first.render, first.photo.is_whole
-        self.first = first.gaussians
         self._render = replace(self._render, background=first.render.background)
         self._photo = photo if photo.stereo_in else replace(photo, stereo_in="none")
         framing = "framing: all pictures as the first"
         self.messages = [self._renamed(line, path) for line in [*lines, *messages, *first.messages, *how, framing]]
+        return first.gaussians
 
     def _kind_of(self, path: Path, picture: Picture) -> tuple[PhotoOptions, list[str]]:
         """Return the options with what a picture in a file is: a pair, or a photo with its depth map beside it."""

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from torch import Tensor
 
-from lightfield_gs.base.options import QualityName
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
@@ -26,7 +25,7 @@ class LiveStage(ScreenStage):
 
     Args:
         newest: Returns the newest picture of the panel, uint8 [H, W, 3].
-        quality: With which the page opens.
+        options: Of the drawing, with which the page opens.
         fills_screen: See Stage.
     """
 
@@ -38,13 +37,12 @@ class LiveStage(ScreenStage):
         scene: StagedScene,
         panel: Panel,
         newest: Callable[[], np.ndarray],
-        quality: QualityName = "exact",
+        options: FrameOptions,
         fills_screen: bool = False,
-        device: str | None = None,
     ):
-        super().__init__(scene, panel, device)
+        super().__init__(scene, panel, options.device)
         self._newest, self.fills_screen = newest, fills_screen
-        self.opened = self._settled = Controls(quality=quality)
+        self.opened = self._settled = Controls(quality=options.quality)
 
     def show(self, gaussians: Gaussians) -> None:
         """Take the newest scene."""
@@ -69,7 +67,7 @@ class SteeredRenderer:
     """
 
     def __init__(self, stage: LiveStage, options: FrameOptions, renderer: Callable[[FrameOptions], FrameRenderer]):
-        self.size_px = stage.panel.width_px, stage.panel.height_px
+        self.size_px = renderer(options).size_px
         self._stage, self._options, self._renderer = stage, options, renderer
 
     def __call__(self, gaussians: Gaussians, rig: Rig, number: int) -> Tensor:

@@ -119,6 +119,12 @@ class EyeRenderer:
         return to_bytes(render_views(gaussians, small, rig, [view], **self._options.for_views())[0])
 
 
+def pair_size_px(panel: Panel, layout: StereoLayout) -> tuple[int, int]:
+    """Return width and height of the pictures of two eyes in one image; the panel is of a StereoScreen."""
+    across, down = {"sbs": (2, 1), "tab": (1, 2)}.get(layout, (1, 1))
+    return across * panel.width_px, down * panel.height_px
+
+
 class StereoRenderer:
     """Renders the pictures of two eyes in one image, uint8.
 
@@ -129,8 +135,7 @@ class StereoRenderer:
     """
 
     def __init__(self, panel: Panel, options: FrameOptions, layout: StereoLayout):
-        across, down = {"sbs": (2, 1), "tab": (1, 2)}.get(layout, (1, 1))
-        self.size_px = across * panel.width_px, down * panel.height_px
+        self.size_px = pair_size_px(panel, layout)
         self._panel, self._options, self._layout = panel, options, layout
 
     def __call__(self, gaussians: Gaussians, rig: Rig, number: int) -> Tensor:

@@ -38,9 +38,10 @@ class Live:
         gaussians = scene()
         self.rig, self.page = Rig.frame(gaussians, panel), PageOut(panel, Health())
         staged = StagedScene(gaussians, self.rig, "camera", (0.2, 0.3, 0.4))
-        self.stage = LiveStage(staged, panel, lambda: self.page.newest()[1], "high")
+        options = FrameOptions(background=staged.background, quality="high")
+        self.stage = LiveStage(staged, panel, lambda: self.page.newest()[1], options)
         native = lambda options: NativeRenderer(panel, options, False)
-        self._draw = SteeredRenderer(self.stage, FrameOptions(background=staged.background), renderer or native)
+        self._draw = SteeredRenderer(self.stage, options, renderer or native)
         self._count = 0
 
     def __call__(self, gaussians) -> np.ndarray:
@@ -127,8 +128,10 @@ def test_live_follows_eyes_of_a_file(tmp_path, capsys):
     "words, complained",
     [
         ("--eyes udp:5005 --quality fast --screen-size 24", "leave them out"),
+        ("--eyes udp:5005 --virtual-camera /dev/video9", "leave out --eyes"),
+        ("--eyes udp:5005 --stereo sbs", "leave out one"),
         ("--eyes udp:5005 --window --screen-size 24", "--window is of a display with lenses"),
-        ("--eye-distance 60", "--eye-distance is for --eyes"),
+        ("--eye-distance 60", "--eye-distance is for --stereo or --eyes"),
     ],
 )
 def test_options_that_exclude_each_other_are_refused(tmp_path, capsys, words, complained):

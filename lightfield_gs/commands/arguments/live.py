@@ -13,7 +13,7 @@ from lightfield_gs.commands.options.panel import add_drawing_device, add_look, a
 from lightfield_gs.commands.options.parser import Parser, whole, within
 from lightfield_gs.commands.options.scene import add_photo
 from lightfield_gs.commands.options.serving import add_serving
-from lightfield_gs.commands.options.stereo import add_viewer
+from lightfield_gs.commands.options.stereo import add_stereo
 from lightfield_gs.commands.options.video import add_codec, add_fps
 
 
@@ -51,6 +51,13 @@ def add_arguments(parser: Parser) -> None:
         help="show it in a window over the display's whole screen in place of the browser: at the screen's own rate, "
         "and from CUDA without a copy through the host (pip install 'lightfield-gs[window]'). Escape or Q ends it",
     )
+    add(
+        "--virtual-camera",
+        metavar="DEVICE",
+        short="a camera for calls: both eyes side by side",
+        help="write the pictures of two eyes (--stereo, default half-sbs of 1280 x 720) to a virtual camera, for calls "
+        "and OBS Studio, in place of the browser: /dev/videoN or a part of its name. Linux, v4l2loopback",
+    )
     add = in_group(parser.add_argument, groups.MOTION)
     add("--loop", action="store_true", short="begin a film again at its end", help="begin a video again at its end")
     add(
@@ -70,8 +77,8 @@ def add_arguments(parser: Parser) -> None:
     )
     add_panel(parser.add_argument, "for framing")
     add_eyes(parser.add_argument)
-    add_viewer(in_group(rarely(parser.add_argument), groups.TRACKING), "--eyes")
     add_look(parser.add_argument)
+    add_stereo(rarely(parser.add_argument), "--stereo and --eyes")
     add_photo(parser.add_argument, "cut the object out of each picture with rembg, as `encode` does")
     add = in_group(parser.add_argument, groups.DRAWING)
     add("--views", choices=VIEWS, default="integer", help="as in `encode` (default integer)")
