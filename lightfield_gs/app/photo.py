@@ -244,7 +244,7 @@ def _scene_of_object(source: ReadPhoto, panel: Panel, device: str, watch: Stopwa
     from lightfield_gs.photo.detail_level import detail_level
 
     photo, options = source.photo, source.options
-    network = _load_network(options.checkpoint, device)
+    network = load_network(options.checkpoint, device)
     watch.lap("load")
     detail, budget = network_detail(options)
     level = detail_level(detail, network.config, max(photo.pixels.shape[:2]), panel, budget)
@@ -392,7 +392,7 @@ def _scene_of_whole(
     if photo.full_size is not None:
         across, down = photo.pixels.shape[1] / width, photo.pixels.shape[0] / height
         focal, centre = known = ((known[0][0] * across, known[0][1] * down), (known[1][0] * across, known[1][1] * down))
-    placed, words = _place(options, panel, look, image, torch.from_numpy(depth.z), *known)
+    placed, words = place_photo(options, panel, look, image, torch.from_numpy(depth.z), *known)
     margin = (0, 0, 0, 0) if placed is None else placed.margin_px
     is_blurred = options.is_smooth or (placed is not None and placed.fit == "contain")
     kind: Margin = "blur" if is_blurred else "texture"
@@ -405,7 +405,7 @@ def _scene_of_whole(
     return gaussians, PhotoPlacement(options, is_whole=True, placed=placed)
 
 
-def _place(
+def place_photo(
     options: PhotoOptions,
     panel: Panel,
     look: LookOptions,
@@ -467,7 +467,7 @@ def _say(source: ReadPhoto, more: list[str], notes: list[str]) -> None:
         say(words)
 
 
-def _load_network(checkpoint: Path | None, device: str) -> ReplayedNet:
+def load_network(checkpoint: Path | None, device: str) -> ReplayedNet:
     """Return the network of a checkpoint (None: the package's own), on the device. Raises InputError.
 
     The last network is kept, and read again when its file has changed.

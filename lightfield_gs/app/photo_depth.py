@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from lightfield_gs.photo.side_by_side import is_rgbd_name
 
 if TYPE_CHECKING:
     import numpy as np
+    from torch import Tensor
 
     from lightfield_gs.io.images import Picture
     from lightfield_gs.photo.depth import DepthMap, DepthNumbers
@@ -68,6 +70,32 @@ def steady_estimates(
     images = ((number, photo.floats()) for number, photo in photos)
     estimates = estimate_pictures(images, model, on, kind=options.depth_kind)
     return steadied(estimates, is_metric(model, on, options.depth_kind), ahead=ahead)
+
+
+def steady_pictures(
+    images: Iterable[tuple[int, np.ndarray]], options: PhotoOptions, device: str
+) -> Iterator[tuple[int, Callable[[Tensor], Tensor]]]:
+    """Yield for pictures in a row what gives their z, each averaged with those before it; none waits for the next.
+
+    Args:
+        images: Their numbers, and they, as of depth_from_network.
+        options: Of all of them.
+        device: Where the network works.
+
+    Yields:
+        The number, and a function from the picture, [H, W, 3] in 0..1 on the device, to z [H, W].
+
+    Raises:
+        InputError: As `steady_estimates`.
+    """
+    from lightfield_gs.photo.depth_network import estimate_pictures, is_metric, refuse_windows, z_of_estimate
+    from lightfield_gs.photo.steady_depth import steadied
+
+    model, on, kind = options.depth_network, _network_device(device), options.depth_kind
+    refuse_windows(model, on, kind)
+    has_distances = is_metric(model, on, kind)
+    for number, estimate in steadied(estimate_pictures(images, model, on, kind=kind), has_distances, ahead=0):
+        yield number, partial(z_of_estimate, estimate, has_distances, options.depth_range)
 
 
 def _network_device(device: str) -> Device:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lightfield_gs.app.options import EyesOptions, PanelOptions
 from lightfield_gs.app.own_eyes import OwnEyes, own_eyes
@@ -73,7 +73,8 @@ def tracked_screen(
         )
         why = "" if options.screen_size is not None else " (no 3D display was found: --panel; --screen-size INCHES)"
         words = f"eyes: the picture follows them on a plain screen of {screen.diagonal_in:g} inches{why}"
-        return TrackedScreen(screen.panel(), True, eyes_mm, [words])
+        plain = replace(screen.panel(), name=f"screen of {screen.diagonal_in:g} inches")
+        return TrackedScreen(plain, True, eyes_mm, [words])
     if options.eye_size is not None:
         raise InputError("--eye-size is of a screen without lenses, and this panel has its own; leave it out")
     lenses = load_panel(panel)

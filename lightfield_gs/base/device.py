@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from functools import lru_cache
 from queue import SimpleQueue
 from typing import Any, Literal
 
@@ -57,11 +58,12 @@ def free_memory(device: torch.device) -> int:
 def capture_graph(call: Callable[[], Any], *, warm_up: bool = False) -> tuple[torch.cuda.CUDAGraph, Any]:
     """Capture the launches of a call as a CUDA graph; a capture computes nothing.
 
+    Other threads may use the device meanwhile.
+
     Args:
         call: its launches are captured.
         warm_up: for calls into libraries, which load and choose their algorithms in the first calls. It runs before the
-            capture, and the graph is replayed once after it: later captures read the result while they warm up. Other
-            threads may use the device meanwhile.
+            capture, and the graph is replayed once after it: later captures read the result while they warm up.
 
     Returns:
         The graph, and the result of the call, which each replay overwrites.
@@ -74,7 +76,7 @@ def capture_graph(call: Callable[[], Any], *, warm_up: bool = False) -> tuple[to
                 call()
         torch.cuda.current_stream().wait_stream(stream)
     graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local" if warm_up else "global"):
+    with torch.cuda.graph(graph, stream=stream, capture_error_mode="thread_local"):  # others may use the device
         result = call()
     if warm_up:
         graph.replay()
@@ -87,6 +89,25 @@ def to_numpy(image: Tensor) -> np.ndarray:
         return image.numpy()
     host = torch.empty(image.shape, dtype=image.dtype, pin_memory=True)
     return host.copy_(image).numpy()
+
+
+def finished_to_numpy(image: Tensor) -> np.ndarray:
+    """Return a picture that its device has finished as an array; work that is queued meanwhile goes on.
+
+    The page-locked memory of pictures that nobody holds any longer is used again.
+    """
+    if not image.is_cuda:
+        return image.numpy()
+    with torch.cuda.stream(_copy_stream(image.device)):
+        host = torch.empty(image.shape, dtype=image.dtype, pin_memory=True)
+        host.copy_(image, non_blocking=True)
+        _copy_stream(image.device).synchronize()
+    return host.numpy()
+
+
+@lru_cache
+def _copy_stream(device: torch.device) -> torch.cuda.Stream:
+    return torch.cuda.Stream(device)
 
 
 class HostCopies:

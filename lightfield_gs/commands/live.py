@@ -59,7 +59,9 @@ class LiveOptions:
         loop: Whether a film begins again.
         seconds: After which it ends. None: at Ctrl-C, or at the end of a film.
         fps: Frames a second that are to be held.
-        pixels: Of a picture, at most. None: as many as hold the rate.
+        pixels: Of a picture, at most. None: as many as hold the rate, and no more than the panel shows.
+        quality: Of the drawing. None: exact, or fast where that is too slow.
+        remember: Whether what was seen behind things stays, while the camera stands still.
     """
 
     source: str
@@ -72,8 +74,9 @@ class LiveOptions:
     seconds: float | None = None
     fps: Fraction | None = None
     pixels: int | None = None
+    remember: bool = True
     views: Views = "integer"
-    quality: QualityName = "exact"
+    quality: QualityName | None = None
     device: str = "auto"
     eyes: EyesOptions = field(default_factory=EyesOptions)
 
@@ -88,13 +91,14 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     _check(options)
     fps = options.fps or DEFAULT_FPS
     source = open_source(options.source, float(fps), options.loop)
-    health, detail = Health(), Detail(float(fps), options.pixels)
-    tracked = _tracked(options)
+    detail = Detail(float(fps), options.pixels, "exact" if _has_two_eyes(options) else options.quality)
+    health, tracked = Health(), _tracked(options)
     ways = WaysOut(options.ways, options.panel, tracked, fps, health, stack, say_now)
     panel = ways.panel
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
     reader = Reader(source, health.has_taken, say_now)
-    scenes = LiveScenes(source, options.photo, options.render, options.look, panel, device.torch, detail, health)
+    taken = options.photo, options.render, options.look, panel, device.torch, detail, health
+    scenes = LiveScenes(source, *taken, options.remember)
     reader.start()
     stack.callback(reader.stop)
     say_now(f"{source.name}: waiting for its first picture")
@@ -105,7 +109,7 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
         raise reader.failed or error from None
     how = scenes.drawn_as
     drawing = FrameOptions(
-        options.views, how.background, options.quality, how.antialiased, how.view_filter, device.webgpu
+        options.views, how.background, detail.quality, how.antialiased, how.view_filter, device.webgpu
     )
     height, width = detail.size_px
     tracker, lines = (None, []) if tracked is None else open_tracker(options.eyes, tracked, say_now)
@@ -115,7 +119,7 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     health.take()  # the start is no part of how it fares
     end = _End(health, detail, options.seconds, ways.hint)
     opening = StagedScene(scenes.first[1], scenes.rig, source.name, how.background, how.antialiased, how.view_filter)
-    drawer = _Drawer.of(opening, drawing, ways, tracker)
+    drawer = _Drawer.of(opening, drawing, detail, ways, tracker)
     pipeline = Pipeline(reader, scenes, drawer.draw, ways.outs, health, end.now, drawer.state)
     began = time.monotonic()
 
@@ -159,22 +163,28 @@ class _Drawer:
     stage: LiveStage | None
 
     @staticmethod
-    def of(opening: StagedScene, options: FrameOptions, ways: WaysOut, tracker: EyeTracker | None) -> _Drawer:
+    def of(
+        opening: StagedScene, options: FrameOptions, detail: Detail, ways: WaysOut, tracker: EyeTracker | None
+    ) -> _Drawer:
         """Return it, with the scene by which the owner's page opens."""
-        renderer: Callable[[FrameOptions], FrameRenderer] = ways.drawer
+        renderer: Callable[[FrameOptions], FrameRenderer] = lambda drawing: ways.drawer(drawing, detail)
         if tracker is not None:
             eyes, now = EyesDrawing(ways.panel, ways.fills_screen), tracker.now
             renderer = lambda drawing: EyesRenderer(eyes, ways.size_px, drawing, now)
         if (page := ways.page) is None:
             return _Drawer(renderer(options), tracker, None)
-        stage = LiveStage(opening, ways.panel, lambda: page.newest()[1], options, ways.fills_screen)
-        stage.has_quality = tracker is None and not ways.fills_screen
+        stage = LiveStage(opening, ways.panel, lambda: page.newest()[1], options.device, ways.fills_screen)
         return _Drawer(SteeredRenderer(stage, options, renderer), tracker, stage)
 
     def state(self) -> object:
         """Return what a picture depends on beside its scene."""
         eyes = None if self.tracker is None else self.tracker.steady().tobytes()
         return eyes, None if self.stage is None else self.stage.resting()
+
+
+def _has_two_eyes(options: LiveOptions) -> bool:
+    ways = options.ways
+    return bool(ways.stereo.stereo or ways.virtual_camera or options.eyes.eyes)
 
 
 def _check(options: LiveOptions) -> None:
@@ -191,9 +201,7 @@ def _check(options: LiveOptions) -> None:
     has_pair = photo.stereo_in not in (None, "none")
     is_deep = photo.depth is not None or photo.rgbd is not None or has_pair or is_rgbd_name(Path(options.source))
     check_photo_options(photo, is_deep)
-    ways = options.ways
-    has_two_eyes = bool(ways.stereo.stereo or ways.virtual_camera or options.eyes.eyes)
-    if has_two_eyes and (options.views, options.quality) != ("integer", "exact"):
+    if _has_two_eyes(options) and (options.views != "integer" or options.quality not in (None, "exact")):
         raise InputError("--views and --quality are of panels, and the picture is of two eyes; leave them out")
     if options.ways.output is not None:
         check_outputs((options.ways.output,), (options.source,))

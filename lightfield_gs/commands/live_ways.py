@@ -19,6 +19,8 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import CodecName
 from lightfield_gs.commands.options.serving import ServingOptions, serve
 from lightfield_gs.io.stereo_names import stereo_paths
+from lightfield_gs.live.detail import Detail
+from lightfield_gs.live.drawing import LiveRenderer
 from lightfield_gs.live.health import Health
 from lightfield_gs.live.outs import Out
 from lightfield_gs.live.page import PageOut
@@ -28,7 +30,7 @@ from lightfield_gs.live.window import WindowOut
 from lightfield_gs.show.display_browser import DisplayBrowser, find_browser
 from lightfield_gs.show.page.server import Route
 from lightfield_gs.show.window.native_window import NativeWindow
-from lightfield_gs.video.rendering import FrameOptions, FrameRenderer, NativeRenderer, StereoRenderer, pair_size_px
+from lightfield_gs.video.rendering import FrameOptions, FrameRenderer, StereoRenderer, pair_size_px
 from lightfield_gs.video.video_file import choose_codec
 
 _CAMERA_EYE = 1280, 720  # pixels of an eye's picture: calls seldom send more
@@ -134,11 +136,11 @@ class WaysOut:
         """Whether the page shows the picture as large as the screen, not pixel for pixel."""
         return self._layout is not None or self._is_plain
 
-    def drawer(self, drawing: FrameOptions) -> FrameRenderer:
-        """Return what draws the pictures."""
+    def drawer(self, drawing: FrameOptions, detail: Detail) -> FrameRenderer:
+        """Return what draws the pictures; detail: see LiveRenderer."""
         if self._layout is not None:
             return StereoRenderer(self.panel, drawing, self._layout)
-        return NativeRenderer(self.panel, drawing, False)
+        return LiveRenderer(self.panel, drawing, detail)
 
     def run(self, start: Callable[[Callable[[], None]], None], owners: Mapping[str, Route]) -> None:
         """Take pictures until the end, or Ctrl-C; in the main thread.

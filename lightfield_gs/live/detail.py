@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from lightfield_gs.base.options import QualityName
 from lightfield_gs.live.health import Span
 from lightfield_gs.video.decoding import Scaling
 
@@ -12,28 +13,48 @@ LEAST_PIXELS = 320 * 180  # less is a blur on any panel
 _SLOW = 1.1  # of the time for a frame, from which on a stage is too slow
 _HELPS = 0.9  # of the time before, above which smaller pictures were of no use
 _AIM, _STEP = 0.9, 0.25  # of the time that is aimed at, and the most that one step leaves of the pixels
+_FINER = 1.4  # pixels to a side for one that a view has: each is a little blurred
 STAGES = ("network", "depth", "encode")  # which take less time for fewer pixels
 
 
 class Detail:
-    """The size of the pictures, which becomes less where a stage is too slow for the rate; never more.
+    """Quality and size of the pictures, which become less where a stage is too slow for the rate; never more.
 
     Args:
         fps: The frames a second to hold.
         pixels: Of a picture. None: as many as hold the rate.
+        quality: Of the drawing. None: exact, or fast where that does not hold the rate.
+
+    Attributes:
+        quality: Of the drawing, now.
+        scaling: How the pictures are reduced, now.
+        size_px: Height and width of the last picture.
     """
 
-    def __init__(self, fps: float, pixels: int | None):
+    def __init__(self, fps: float, pixels: int | None, quality: QualityName | None = "exact"):
+        self.quality: QualityName = quality or "exact"
+        self._may_draw_fast = quality is None
         self._least = LEAST_PIXELS
         self._fps, self._is_fixed, self._is_said, self._is_new = fps, pixels is not None, False, True
         self.scaling = Scaling(pixels or MOST_PIXELS)
         self._slow: tuple[str, float, int] | None = None  # what was too slow before, its seconds, and the pixels then
-        self.size_px: tuple[int, int] = (0, 0)  # height and width of the last picture
+        self.size_px: tuple[int, int] = (0, 0)
 
     def take_halves(self, is_nearest: bool) -> None:
         """Note that a picture holds two side by side; is_nearest: that one has depths, see Scaling."""
         self._least = 2 * LEAST_PIXELS
         self.scaling = replace(self.scaling, is_nearest=is_nearest)
+
+    def limit(self, resolved: float) -> None:
+        """Take no more pixels than the panel shows, unless a number was given.
+
+        Args:
+            resolved: Pixels to a side that a view of the panel has for one of the last picture.
+        """
+        scale = _FINER * resolved
+        if not self._is_fixed and scale < 1:
+            most = max(self._least, round(scale * scale * self.size_px[0] * self.size_px[1]))
+            self.scaling = replace(self.scaling, most_pixels=min(self.scaling.most_pixels, most))
 
     def adapt(self, span: Span) -> str | None:
         """Take smaller pictures where a stage was too slow, and return a line on it.
@@ -41,14 +62,23 @@ class Detail:
         The rate of the source bounds too: no picture becomes smaller for a rate that the source does not have.
         """
         times = {name: mean for name in STAGES if (mean := span.mean_s(name)) is not None}
-        if self._is_fixed or self._is_said or not times or span.seconds <= 0:
+        may_shrink = not (self._is_fixed or self._is_said)
+        if not (may_shrink or self._may_draw_fast) or not times or span.seconds <= 0:
             return None
-        if self._is_new:  # the first pictures of a size take longer
+        if self._is_new:  # the first pictures of a kind take longer
             self._is_new = False
             return None
         stage = max(times, key=lambda name: times[name])
         wanted = 1 / min(self._fps, max(1.0, span.taken / span.seconds))
         if times[stage] <= _SLOW * wanted:
+            return None
+        if stage == "encode" and self._may_draw_fast:
+            self.quality, self._may_draw_fast, self._is_new = "fast", False, True
+            took = (
+                f"the encode takes {1000 * times[stage]:.0f} ms for a frame, and {1 / wanted:.3g} a second are wanted"
+            )
+            return f"{took}: it draws with --quality fast (--quality exact keeps it)"
+        if not may_shrink:
             return None
         slow, self._slow = self._slow, (stage, times[stage], self.scaling.most_pixels)
         words = f"the {stage} takes {1000 * times[stage]:.0f} ms for a frame, and {1 / wanted:.3g} a second are wanted"

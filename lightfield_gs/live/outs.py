@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from torch import Tensor
 
-from lightfield_gs.base.device import to_numpy
+from lightfield_gs.base.device import finished_to_numpy
 from lightfield_gs.live.sources import Frame
 
 
@@ -25,7 +25,7 @@ class Drawn:
     @cached_property
     def pixels(self) -> np.ndarray:
         """The picture in the host's memory, copied once for all who ask."""
-        return to_numpy(self.image)
+        return finished_to_numpy(self.image)
 
 
 class Out(Protocol):

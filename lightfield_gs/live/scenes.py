@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import TypeVar, cast
 
 import numpy as np
+import torch
 
 from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import AUTO, FLAT, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.photo import ReadPhoto, read_frame
+from lightfield_gs.app.photo_depth import depth_camera
 from lightfield_gs.app.photo_pair import has_other_way
 from lightfield_gs.app.scene import build_scene, check_scene_options, frame_scene, read_source
 from lightfield_gs.app.steady_photos import steady_photos
@@ -24,17 +26,25 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import StereoInput
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.images import Picture, write_image
+from lightfield_gs.live.depths import LiveDepths
 from lightfield_gs.live.detail import Detail
 from lightfield_gs.live.health import Health
+from lightfield_gs.live.objects import LiveObjects
 from lightfield_gs.live.sources import Frame, Source
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
+from lightfield_gs.photo.background_memory import BackgroundMemory
 from lightfield_gs.photo.cut_out import NoCutOut
+from lightfield_gs.photo.detail_level import view_fraction
+from lightfield_gs.photo.rgbd import known_camera
 from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name
 from lightfield_gs.photo.stereo_matching import PairMismatch
 from lightfield_gs.photo.stereo_pair import can_match
 from lightfield_gs.scene.gaussians import Gaussians
 
+_T = TypeVar("_T")
+_REMEMBERED = "behind things: what was seen there before, while the camera stands still (else: --no-remember)"
+_NOT_REMEMBERED = "behind things: smooth colours of what is beside them (--remember keeps what was seen there)"
 _PATIENCE_S = 3.0  # with pictures of which no scene can be made, at the beginning: cameras begin dark
 
 
@@ -54,6 +64,7 @@ class LiveScenes:
         device: Where networks and scenes are.
         detail: The size of the pictures.
         health: Counts times and pictures that cannot be used.
+        remembers: Whether what a camera that stands still saw stays behind what is before it.
 
     Attributes:
         rig: Of all scenes, by the first picture.
@@ -74,10 +85,12 @@ class LiveScenes:
         device: str,
         detail: Detail,
         health: Health,
+        remembers: bool = True,
     ):
         self._source, self._photo, self._render, self._look = source, photo, render, look
         self._panel, self._device, self.detail, self._health = panel, device, detail, health
         self._name = Path(source.name)
+        self._memory = BackgroundMemory() if remembers else None
         self.messages: list[str] = []
 
     @property
@@ -99,30 +112,58 @@ class LiveScenes:
         raise InputError(f"{self._source.name}: it ended before a picture came of which a scene can be made")
 
     def __call__(self, frames: Iterator[Frame]) -> Iterator[tuple[Frame, Gaussians]]:
-        """Yield the scene of each picture, with depths that are averaged with those before it, up to a cut."""
+        """Yield the scene of each picture, with depths that are averaged with those before it, up to a cut.
+
+        On CUDA the work is on a stream of its own, and finished when it is yielded.
+        """
         taken: dict[int, Frame] = {}
+        with self._stream() as finish:
+            for number, scene in self._made(frames, taken):
+                finish()
+                self._health.end(self.stage)
+                yield taken.pop(number), scene
 
-        def photos() -> Iterator[tuple[int, ReadPhoto]]:
-            for frame in frames:
-                self._health.begin(self.stage)
-                try:
-                    with capture([]):
-                        read = read_frame(self._name, self._picture(frame), self._photo)
-                except InputError as error:
-                    reason = error.reason if isinstance(error, NoCutOut) else str(error)
-                    self._health.could_not_use(self._renamed(reason, self._name))
-                    self._health.end(self.stage)
-                    continue
-                taken[frame.number] = frame
-                yield frame.number, read
+    def _made(self, frames: Iterator[Frame], taken: dict[int, Frame]) -> Iterator[tuple[int, Gaussians]]:
+        """Yield numbers and scenes; taken: where the frames are put by their numbers."""
+        photo, device = self._photo, self._device
+        if not self._is_whole:
+            yield from self._read(frames, taken, LiveObjects(self._name, photo, self._panel, device))
+        elif photo.is_estimated or photo.rgbd is not None:
+            depths = LiveDepths(self._name, photo, self._look, self._panel, device, self._memory)
+            yield from depths(self._read(frames, taken, depths.read))
+        else:
+            options = SceneOptions(self._name, photo=photo)
+            how = self._render, self._look, self._panel, device
+            photos = self._read(frames, taken, lambda picture: read_frame(self._name, picture, photo))
+            for number, each in steady_photos(photos, photo, device, ahead=0):
+                yield number, build_scene(options, each, *how, Stopwatch(0.0)).gaussians
 
-        options = SceneOptions(self._name, photo=self._photo)
-        for number, photo in steady_photos(photos(), self._photo, self._device, ahead=0):
-            with capture([]):
-                how = options, photo, self._render, self._look, self._panel, self._device
-                scene = build_scene(*how, Stopwatch(0.0)).gaussians
-            self._health.end(self.stage)
-            yield taken.pop(number), scene
+    def _read(
+        self, frames: Iterator[Frame], taken: dict[int, Frame], make: Callable[[Picture], _T]
+    ) -> Iterator[tuple[int, _T]]:
+        """Yield numbers of pictures and what is made of them; count the pictures of which nothing can be made."""
+        for frame in frames:
+            self._health.begin(self.stage)
+            try:
+                with capture([]):
+                    made = make(self._picture(frame))
+            except InputError as error:
+                reason = error.reason if isinstance(error, NoCutOut) else str(error)
+                self._health.could_not_use(self._renamed(reason, self._name))
+                self._health.end(self.stage)
+                continue
+            taken[frame.number] = frame
+            yield frame.number, made
+
+    @contextmanager
+    def _stream(self) -> Iterator[Callable[[], None]]:
+        """Work on a stream of CUDA of its own within the block; yield what waits for it."""
+        if self._device != "cuda":
+            yield lambda: None
+            return
+        stream = torch.cuda.Stream()
+        with torch.cuda.stream(stream):
+            yield stream.synchronize
 
     def _picture(self, frame: Frame) -> Picture:
         picture = frame.picture(self.detail.scaling)
@@ -160,8 +201,14 @@ class LiveScenes:
         self.rig, self.drawn_as, self._is_whole = rig, first.render, first.photo.is_whole
         self._render = replace(self._render, background=first.render.background)
         self._photo = photo if photo.stereo_in else replace(photo, stereo_in="none")
-        framing = "framing: all pictures as the first"
-        self.messages = [self._renamed(line, path) for line in [*lines, *messages, *first.messages, *how, framing]]
+        how.append("framing: all pictures as the first")
+        if self._is_whole and (self._photo.is_estimated or self._photo.rgbd is not None):
+            how.append(_REMEMBERED if self._memory is not None else _NOT_REMEMBERED)
+            height, width = read.photo.size
+            focal, centre, _, _ = depth_camera(self._photo, height, width, None)
+            focal, _ = known_camera(focal, centre, height, width)
+            self.detail.limit(rig.focal_px[0] / focal[0] * view_fraction(self._panel))
+        self.messages = [self._renamed(line, path) for line in [*lines, *messages, *first.messages, *how]]
         return first.gaussians
 
     def _kind_of(self, path: Path, picture: Picture) -> tuple[PhotoOptions, list[str]]:

@@ -25,11 +25,11 @@ class LiveStage(ScreenStage):
 
     Args:
         newest: Returns the newest picture of the panel, uint8 [H, W, 3].
-        options: Of the drawing, with which the page opens.
         fills_screen: See Stage.
     """
 
     follow_ms = _FOLLOW_MS
+    has_quality = False  # which holds the rate
     picture_words = "the display's picture"
 
     def __init__(
@@ -37,12 +37,11 @@ class LiveStage(ScreenStage):
         scene: StagedScene,
         panel: Panel,
         newest: Callable[[], np.ndarray],
-        options: FrameOptions,
+        device: str | None = None,
         fills_screen: bool = False,
     ):
-        super().__init__(scene, panel, options.device)
+        super().__init__(scene, panel, device)
         self._newest, self.fills_screen = newest, fills_screen
-        self.opened = self._settled = Controls(quality=options.quality)
 
     def show(self, gaussians: Gaussians) -> None:
         """Take the newest scene."""
@@ -67,14 +66,15 @@ class SteeredRenderer:
     """
 
     def __init__(self, stage: LiveStage, options: FrameOptions, renderer: Callable[[FrameOptions], FrameRenderer]):
-        self.size_px = renderer(options).size_px
         self._stage, self._options, self._renderer = stage, options, renderer
+        self._draw = renderer(options)
+        self.size_px = self._draw.size_px
 
     def __call__(self, gaussians: Gaussians, rig: Rig, number: int) -> Tensor:
         """Draw on the device of the Gaussians."""
         self._stage.show(gaussians)
         controls = self._stage.resting()
-        options = replace(
-            self._options, background=controls.colour(self._stage.scene.background), quality=controls.quality
-        )
-        return self._renderer(options)(gaussians, controls.rig(rig, self._stage.panel), number)
+        options = replace(self._options, background=controls.colour(self._stage.scene.background))
+        if options != self._options:
+            self._options, self._draw = options, self._renderer(options)
+        return self._draw(gaussians, controls.rig(rig, self._stage.panel), number)

@@ -118,8 +118,9 @@ def estimate_pictures(
         yield from in_windows(pictures, disparities, network.at_once, kind == "distance")
         return
     for number, image in images:
-        (values,) = disparities([network.shrink(_to_pixels(image))])
-        yield number, PictureEstimate.of(values, image)
+        picture = network.shrink(_to_pixels(image))
+        (values,) = disparities([picture])
+        yield number, PictureEstimate.of(values, picture)
 
 
 def is_metric(model: str | Path, device: Device, kind: str | None) -> bool:
@@ -151,6 +152,24 @@ def depth_of_estimate(
     _, kind = _open(model, device, kind, limits, None)
     values = estimate.disparities if kind == "disparity" else 1 / estimate.disparities
     return _as_depth_map(_to_pixels(image), model, kind, values, limits, estimate.limits)
+
+
+def z_of_estimate(
+    estimate: PictureEstimate, is_distance: bool, limits: tuple[float, float] | None, photo: Tensor
+) -> Tensor:
+    """Return z [H, W] of numbers that were estimated before.
+
+    Args:
+        estimate: The numbers.
+        is_distance: Whether they are of distances.
+        limits: See depth_from_network.
+        photo: [H, W, 3], floats in 0..1, on the device of the numbers.
+    """
+    if is_distance:
+        found = distances_to_z(1 / estimate.disparities)
+    else:
+        found = disparities_to_z(estimate.disparities, limits, estimate.limits)
+    return found.z(upsample(found.disparities, photo, found.value_range))
 
 
 def _checked_options(

@@ -54,12 +54,15 @@ def count(config: ModelConfig, factor: int) -> int:
     return config.image_size_px**2 * (factor**2 + config.layers)
 
 
+def view_fraction(panel: Panel) -> float:
+    """Return the rows that a view of a panel has, by the panel's: all sub-pixels together show all views."""
+    return min(1.0, math.sqrt(3 / panel.views))
+
+
 def _automatic(config: ModelConfig, photo_px: int, panel: Panel | None, budget: int) -> int | None:
     resolved = float(photo_px)
     if panel is not None:
-        # All sub-pixels together show all views, so a view has about this fraction of the panel's rows
-        fraction = min(1.0, math.sqrt(3 / panel.views))
-        resolved = min(resolved, _SQUARE * fraction * min(panel.width_px, panel.height_px))
+        resolved = min(resolved, _SQUARE * view_fraction(panel) * min(panel.width_px, panel.height_px))
     affordable = [factor for factor in _FACTORS if count(config, factor) <= budget]
     enough = [factor for factor in affordable if factor * config.image_size_px >= resolved]
     return enough[0] if enough else affordable[-1] if affordable else None

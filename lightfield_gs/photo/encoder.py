@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from lightfield_gs.base.device import capture_graph
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import Detail, Output, QualityName, Views
 from lightfield_gs.encoding.encode import check_options, check_webgpu, encode
+from lightfield_gs.encoding.encoder import Encoder
 from lightfield_gs.models import crop
 from lightfield_gs.models.crop import crop_on_device
 from lightfield_gs.models.detail import DetailLevel
@@ -35,7 +36,8 @@ class PhotoEncoder:
     """Draw the object in a photo for a panel: SplatterNet.predict, frame_photo and `encode` in one faster call.
 
     On CUDA the U-Net runs in bfloat16. Crop, network and framing are CUDA graphs, captured for the first photo of each
-    size. The host waits for the device once a photo, for the position of the object.
+    size. The host waits for the device once a photo, for the position of the object. With a rig of all photos the frame
+    is a graph too, and the host waits for nothing but the crop, while the network and the frame are under way.
 
     Args:
         net: The network, on the device to work on. The encoder copies its weights when it is made.
@@ -45,6 +47,7 @@ class PhotoEncoder:
         output: "uint8" or "float32".
         quality: See `encode`.
         look: Changes of the automatic framing of each photo; it may be set between photos.
+        rig: Of all photos, as of pictures of a film. None: each is framed by itself.
         detail: See SplatterNet.predict.
         budget: See SplatterNet.predict.
         device: See `encode`; the network works on the CPU then.
@@ -63,6 +66,7 @@ class PhotoEncoder:
         output: Output = "uint8",
         quality: QualityName | Quality = "exact",
         look: Look | None = None,
+        rig: Rig | None = None,
         detail: Detail | None = None,
         budget: int = DEFAULT_BUDGET,
         device: str | None = None,
@@ -72,6 +76,9 @@ class PhotoEncoder:
         expect("net", net, SplatterNet)
         expect("panel", panel, Panel)
         expect("look", look, Look, type(None))
+        expect("rig", rig, Rig, type(None))
+        if rig is not None and look is not None:
+            raise InputError("a look changes the framing of each photo, and rig= has none; apply it to the rig first")
         background_tensor(background, torch.empty(0))
         if output == "float64":
             raise InputError("a PhotoEncoder puts out uint8 or float32, got 'float64'")
@@ -81,16 +88,15 @@ class PhotoEncoder:
                 raise InputError(f"device={device!r} takes a network on the CPU, got {net.device}: use net.to('cpu')")
         self.device = device
         self.panel, self.views, self.background, self.output = panel, views, background, output
-        self.net = copy.deepcopy(net).eval()
-        if net.device.type == "cuda":
-            # torch takes memory_format of a module too, which its stub does not know
-            self.net.unet.to(torch.bfloat16, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.net = quick_copy(net)
         self.look, self.detail, self.budget = look, detail, budget
         self._level(1)  # raises the errors that any photo would raise
         self.gaussians: Gaussians | None = None
-        self.rig: Rig | None = None
-        self._captured: _Capture | None = None
+        self.rig = rig
+        self._captured: PhotoGraphs | None = None
         self._frames: DirectFrames | None = None
+        how: dict[str, Any] = dict(views=views, background=background, output=output, quality=self.quality)
+        self._fixed = None if rig is None else Encoder(panel, rig, device=device, **how)
 
     @torch.no_grad()
     def __call__(self, rgba: np.ndarray | Tensor, stats: dict[str, Any] | None = None) -> Tensor:
@@ -126,8 +132,11 @@ class PhotoEncoder:
         with stats.stage("network"):
             self.gaussians = self.net.visible_gaussians(cropped, fine, level)
         with stats.stage("framing"):
-            self.rig = self._looked(frame_photo(self.gaussians, self.panel), self.gaussians)
+            if self._fixed is None:
+                self.rig = self._looked(frame_photo(self.gaussians, self.panel), self.gaussians)
         with stats.stage("encode"):
+            if self._fixed is not None:
+                return self._fixed(self.gaussians)
             how: dict[str, Any] = dict(views=self.views, background=self.background, output=self.output)
             return encode(self.gaussians, self.panel, self.rig, quality=self.quality, device=self.device, **how)
 
@@ -135,16 +144,21 @@ class PhotoEncoder:
         with torch.cuda.device(self.net.device):
             graphs, kind = self._captured, (photo.shape, photo.dtype)
             if graphs is None or kind != (graphs.photo.shape, graphs.photo.dtype):
-                self._captured = graphs = _Capture(self.net, photo, self._level(max(photo.shape[:2])))
+                self._captured = graphs = PhotoGraphs(self.net, photo, self._level(max(photo.shape[:2])))
             with stats.stage("crop"):
                 graphs.crop(photo)
             with stats.stage("network"):
                 graphs.network.replay()
             with stats.stage("framing"):
                 self.gaussians = graphs.gaussians
-                self.rig = self._looked(graphs.rig(self.panel), self.gaussians)
+                if self._fixed is None:
+                    self.rig = self._looked(graphs.rig(self.panel), self.gaussians)
             with stats.stage("encode"):
-                return self._draw_frame(self.gaussians, self.rig)
+                if self._fixed is None:
+                    return self._draw_frame(self.gaussians, cast(Rig, self.rig))
+                image = self._fixed(self.gaussians)
+            graphs.check()
+            return image
 
     def _looked(self, rig: Rig, gaussians: Gaussians) -> Rig:
         return rig if self.look is None else self.look.applied(rig, self.panel, gaussians)
@@ -159,8 +173,22 @@ class PhotoEncoder:
         return self._frames.draw(job, self.output == "uint8")
 
 
-class _Capture:
-    """Crop, network and framing of photos of one size and type as CUDA graphs."""
+def quick_copy(net: SplatterNet) -> SplatterNet:
+    """Return a copy of a network for photo after photo: on CUDA its U-Net is in bfloat16."""
+    net = copy.deepcopy(net).eval()
+    if net.device.type == "cuda":
+        # torch takes memory_format of a module too, which its stub does not know
+        net.unet.to(torch.bfloat16, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return net
+
+
+class PhotoGraphs:
+    """Crop, network and framing of photos of one size and type as CUDA graphs.
+
+    Attributes:
+        network: The graph from the crop to the Gaussians.
+        gaussians: Of the last photo, with invisible ones; the next replay of `network` writes over them.
+    """
 
     def __init__(self, net: SplatterNet, photo: Tensor, level: DetailLevel | None):
         self.net, self.intrinsics, self.level = net, net.photo_intrinsics(), level
@@ -174,6 +202,8 @@ class _Capture:
         self._framing, self.numbers = capture_graph(
             lambda: torch.cat([self.checks, photo_extent(self.gaussians)]), warm_up=True
         )
+        self._host_checks = torch.empty_like(self.checks, device="cpu", pin_memory=True)
+        self._checked = torch.cuda.Event()
 
     def crop(self, photo: Tensor) -> None:
         """Cut the object out of a photo; one on the host goes through pinned memory, which the last photo has left."""
@@ -181,6 +211,15 @@ class _Capture:
             photo = self.host.copy_(photo)
         self.photo.copy_(photo, non_blocking=True)
         self._crop.replay()
+        self._host_checks.copy_(self.checks, non_blocking=True)
+        self._checked.record()
+
+    def check(self) -> None:
+        """Wait for the crop, and raise InputError for an invalid photo."""
+        self._checked.synchronize()
+        values_in_range, has_object = self._host_checks.tolist()
+        check_values(values_in_range)
+        crop.check_object(has_object)
 
     def rig(self, panel: Panel) -> Rig:
         """Return the rig of these Gaussians, after waiting for the device; raise InputError for an invalid photo."""

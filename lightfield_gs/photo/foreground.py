@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from scipy import ndimage
+from torch import Tensor
 
 from lightfield_gs.photo.image_filters import row_strips
 
@@ -142,14 +144,26 @@ def mix_edges(rgb: np.ndarray, alpha: np.ndarray, backdrop: np.ndarray) -> None:
         behind = backdrop[0] + down[rows, None] * backdrop[1] + across[columns, None] * backdrop[2]
         span = own[rows // step, columns // step] - behind
         colours = _floats(rgb[box][rows, columns]) - behind
-        length = np.linalg.norm(span, axis=1)
-        share = _ramp((colours * span).sum(1) / np.maximum(length, 1e-3) ** 2, _C.certain)
-        share = np.maximum(share, _ramp(np.linalg.norm(colours - share[:, None] * span, axis=1), _C.other))
         before = alpha[box][rows, columns]
-        alpha[box][rows, columns] = before + _ramp(length, _C.apart) * (share - before)
+        each = torch.from_numpy(colours.T), torch.from_numpy(span.T), torch.from_numpy(before)
+        alpha[box][rows, columns] = mixed_alpha(*each).numpy()
 
 
-def _ramp(values: np.ndarray, ends: tuple[float, float]) -> np.ndarray:
+def mixed_alpha(colours: Tensor, span: Tensor, before: Tensor) -> Tensor:
+    """Return the share of the object in mixtures with a plain background, where that can be told.
+
+    Args:
+        colours: [3, ...], of the pixels, less the background's.
+        span: [3, ...], the object's own colour, less the background's.
+        before: [...], alpha that stays where the two are too alike.
+    """
+    length = span.square().sum(0).sqrt()
+    share = _ramp((colours * span).sum(0) / length.clamp(min=1e-3) ** 2, _C.certain)
+    share = torch.maximum(share, _ramp((colours - share * span).square().sum(0).sqrt(), _C.other))
+    return before + _ramp(length, _C.apart) * (share - before)
+
+
+def _ramp(values: Tensor, ends: tuple[float, float]) -> Tensor:
     """Return 0 up to the first end, 1 from the second on, and linear numbers between."""
     return ((values - ends[0]) / (ends[1] - ends[0])).clip(0, 1)
 

@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
+import torch
 from scipy import ndimage
+from torch import Tensor
 
 from lightfield_gs.photo.foreground import mix_edges
 from lightfield_gs.photo.image_filters import row_strips
@@ -181,7 +183,38 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
         factor = math.ceil(math.sqrt(height * width / _MOST_PIXELS))
         cut = cut_from_plain_background(_block_means(rgb, factor))
         return None if cut is None else replace(cut, alpha=_enlarge(cut.alpha, factor, height, width))
-    if min(height, width) < 8:
+    found = _parted(rgb)
+    if found is None:
+        return None
+    background, distance, outside, holes = found
+    lost = _measure_loss(outside, holes, distance, background.differs)
+    alpha = alpha_of_distance(torch.from_numpy(distance)).numpy()
+    alpha[~outside] = 1
+    mix_edges(rgb, alpha, background.colours)
+    return PlainCut(alpha, *lost)
+
+
+def alpha_of_distance(distance: Tensor) -> Tensor:
+    """Return alpha of pixels by their colour distance from the background, which is changed."""
+    return distance.sub_(_C.near).div_(_C.far - _C.near).clamp_(0, 1)
+
+
+def plain_outline(rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return what is not the plain background of rgb [H, W, 3], and the background; None where it is not plain.
+
+    Returns:
+        bool [H, W], without specks beside the object; and `PlainBackground.colours`.
+    """
+    found = _parted(rgb)
+    if found is None:
+        return None
+    background, _, outside, _ = found
+    return object_components((~outside).astype(np.float32), 1)[0], background.colours
+
+
+def _parted(rgb: np.ndarray) -> tuple[PlainBackground, np.ndarray, np.ndarray, np.ndarray] | None:
+    """Return the background, each pixel's colour distance from it, where it is, and its holes in the object."""
+    if min(rgb.shape[:2]) < 8:
         return None
     background = _fit_background(rgb)
     if background is None:
@@ -195,16 +228,11 @@ def cut_from_plain_background(rgb: np.ndarray) -> PlainCut | None:
         # The fringe round the object, where means took in some of its colour, is background
         outside |= _dilate(outside, window // 2) & (raw < _C.far)
         np.minimum(distance, raw, out=distance)
-    lost = _measure_loss(outside, holes, distance, background.differs)
-    distance -= _C.near
-    distance /= _C.far - _C.near
-    distance.clip(0, 1, out=distance)[~outside] = 1
-    mix_edges(rgb, distance, background.colours)
-    return PlainCut(distance, *lost)
+    return background, distance, outside, holes
 
 
 @dataclass(frozen=True)
-class _Background:
+class PlainBackground:
     """A plain background, whose colour may change evenly over the photo.
 
     Attributes:
@@ -220,7 +248,7 @@ class _Background:
     differs: float
 
 
-def _fit_background(rgb: np.ndarray) -> _Background | None:
+def _fit_background(rgb: np.ndarray) -> PlainBackground | None:
     """Return the background of rgb [H, W, 3], from its border; None where the border is not plain."""
     height, width = rgb.shape[:2]
     thick = max(1, round(_C.border_fraction * min(height, width)))
@@ -234,7 +262,7 @@ def _fit_background(rgb: np.ndarray) -> _Background | None:
     positions = _border_positions(height, width, thick)[near]
     colours = _fit_colours(border[near], positions)
     usual = float(np.quantile(np.linalg.norm(border[near] - positions @ colours, axis=1), _C.fit_quantile))
-    return _Background(colours, noise, window, max(_C.least_difference, _C.fit_margin * usual))
+    return PlainBackground(colours, noise, window, max(_C.least_difference, _C.fit_margin * usual))
 
 
 def _block_means(rgb: np.ndarray, factor: int) -> np.ndarray:
@@ -272,7 +300,7 @@ def _border_positions(height: int, width: int, thick: int) -> np.ndarray:
 
 
 def _fit_colours(colours: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Return _Background.colours of pixels [N, 3] at their positions [N, 3].
+    """Return PlainBackground.colours of pixels [N, 3] at their positions [N, 3].
 
     They have a slope only where it is clear, as on a wall that is lit from the side.
     """
@@ -313,7 +341,7 @@ def _distances(rgb: np.ndarray, background: np.ndarray, window: int) -> np.ndarr
 
     Args:
         rgb: [H, W, 3], uint8 or floats in 0..1.
-        background: _Background.colours.
+        background: PlainBackground.colours.
         window: Side in pixels of the square whose mean colour counts.
     """
     (height, width), reach = rgb.shape[:2], window // 2

@@ -35,7 +35,7 @@ from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 FIELD_OF_VIEW_DEG = 60.0  # of the longer side, where nothing is known of the camera: a phone's main lens has 60 to 70
 MAX_PIXELS = 1 << 24
 _MOST_WITH_MARGIN = 4 * MAX_PIXELS
-_NEAREST = 1e-12  # scene units
+NEAREST = 1e-12  # scene units
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,7 @@ class RgbdConstants:
 
 
 _C = RgbdConstants()
+STD_PX, THICKNESS_PX, STEEPEST_RIM, OPAQUE = _C.std_px, _C.thickness_px, _C.steepest_rim, _C.opacity
 
 
 def focal_length_px(field_of_view_deg: float, height_px: float, width_px: float) -> float:
@@ -134,7 +135,7 @@ def from_depth(
     check_depth_size("depth", depth, image)
     depth = depth.to(image.device)
     opacity = _C.opacity * image[..., 3] if image.shape[2] == 4 else torch.full_like(depth, _C.opacity)
-    measured = (depth >= _NEAREST) & (depth <= FARTHEST) & (opacity >= OPACITY_CUT)
+    measured = (depth >= NEAREST) & (depth <= FARTHEST) & (opacity >= OPACITY_CUT)
     depth = torch.where(measured, depth, torch.nan)
     if not bool(measured.any()):
         raise InputError("depth: expected distances > 0, no opaque pixel of the photo has one")
@@ -233,10 +234,10 @@ def _surface_gaussians(
     rays = torch.stack([slope_x, slope_y, torch.ones_like(slope_x)], 1)
     x, y = torch.eye(3, device=z.device)[:2]
     tangents = (x + across[:, None] * rays, focal[0] / focal[1] * (y + down[:, None] * rays))
-    return _flat_gaussians(rays * z[:, None], tangents, z / focal[0], opacity[rows, columns], colours[rows, columns])
+    return flat_gaussians(rays * z[:, None], tangents, z / focal[0], opacity[rows, columns], colours[rows, columns])
 
 
-def _flat_gaussians(
+def flat_gaussians(
     means: Tensor, tangents: tuple[Tensor, Tensor], footprint: Tensor, opacities: Tensor, colours: Tensor
 ) -> tuple[Tensor, ...]:
     """Return fields of flat Gaussians [M, ...] with the covariance (std_px footprint)^2 (t_u t_u^T + t_v t_v^T).

@@ -46,8 +46,8 @@ class PictureEstimate:
     """The numbers of a network for a picture.
 
     Attributes:
-        disparities: [h, w], float32, on the CPU.
-        colours: The picture at that size [h, w, 3], floats in 0..1.
+        disparities: [h, w], float32.
+        colours: The picture at that size [h, w, 3], floats in 0..1, on their device.
         limits: Low and high percentile of the disparities; None: their own.
     """
 
@@ -57,10 +57,13 @@ class PictureEstimate:
 
     @classmethod
     def of(cls, disparities: Tensor, photo: np.ndarray) -> PictureEstimate:
-        """Return the estimate of a photo [H, W, 3 or more], floats in 0..1."""
-        picture = torch.from_numpy(photo[..., :3]).movedim(2, 0)[None]
-        colours = interpolate(picture, size=disparities.shape, mode="area")[0].movedim(0, 2)
-        return cls(disparities.cpu().float(), colours)
+        """Return the estimate of a photo [H, W, 3 or more], uint8 or floats in 0..1."""
+        picture = torch.from_numpy(np.ascontiguousarray(photo[..., :3])).to(disparities.device).movedim(2, 0)[None]
+        picture = picture / 255 if picture.dtype == torch.uint8 else picture
+        if picture.shape[2:] != disparities.shape:
+            picture = interpolate(picture, size=disparities.shape, mode="area")
+        colours = picture[0].movedim(0, 2)
+        return cls(disparities.float(), colours)
 
     @cached_property
     def smooth(self) -> Tensor:

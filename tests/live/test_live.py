@@ -29,6 +29,7 @@ from lightfield_gs.base.cli_messages import capturable_streams
 from lightfield_gs.cli import main
 from lightfield_gs.io.images import Picture
 from lightfield_gs.live.detail import Detail
+from lightfield_gs.live.drawing import LiveRenderer
 from lightfield_gs.live.health import Health, Span
 from lightfield_gs.live.outs import Drawn
 from lightfield_gs.live.page import PageOut
@@ -60,7 +61,7 @@ def shown(source, health: Health, page: PageOut, outs=()) -> Iterator[threading.
         scenes = scenes_of(source, PhotoOptions(depth=FLAT), health)
         reader.start()
         scenes.settle(iter(reader.newest))
-        drawer = NativeRenderer(PANEL, WHITE, False)
+        drawer = LiveRenderer(PANEL, WHITE, scenes.detail)
         pipeline = Pipeline(reader, scenes, drawer, [page, *outs], health, over.set)
         pipeline.start()
         try:
@@ -232,6 +233,14 @@ def test_pictures_become_smaller_until_the_rate_holds_and_never_for_more_than_th
     in_vain.size_px = 720, 1280
     said = [in_vain.adapt(span_of(1, 30, encode=(0.98, 5))) for _ in range(5)]
     assert "do not help" in (said[3] or "") and said[4] is None and in_vain.scaling == Detail(30, None).scaling
+    automatic = Detail(30, None, None)
+    automatic.size_px, slow_to_draw = (720, 1280), span_of(1, 30, encode=(0.98, 5))
+    said = [automatic.adapt(slow_to_draw) for _ in range(4)]
+    assert "--quality fast" in (said[1] or "") and automatic.quality == "fast" and "not 1280 x 720" in (said[3] or "")
+    wide = Detail(30, None)
+    wide.size_px = 720, 1280
+    wide.limit(0.25)
+    assert wide.scaling.most_pixels == pytest.approx(720 * 1280 * (1.4 * 0.25) ** 2, abs=1)
     fixed = Detail(30, 1_000_000)
     assert [fixed.adapt(slow) for _ in range(3)] == [None] * 3 and fixed.scaling.most_pixels == 1_000_000
 

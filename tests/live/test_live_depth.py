@@ -93,3 +93,45 @@ def test_a_half_of_the_picture_is_its_depth():
     assert float(z[48, 96]) == pytest.approx(1.0, rel=1e-3)
     assert float(z[5, 5]) == pytest.approx(1 / (0.5 + 0.2 * 0.5), rel=1e-3)
     assert scenes.detail.scaling.is_nearest
+
+
+WALL = np.stack([96 + 60 * np.sin(COLUMNS / 5), 128 + 70 * np.cos(ROWS / 4), 60 + (7 * COLUMNS + 11 * ROWS) % 97], 2)
+
+
+def passing(number: int, wall: np.ndarray = WALL) -> tuple[np.ndarray, np.ndarray]:
+    """A picture with its nearness beside it, of a ball that passes before a wall; and where the ball is, bool."""
+    ball = (ROWS - 48) ** 2 + (COLUMNS - 30 - 12 * number) ** 2 < 22**2
+    colours = np.where(ball[..., None], (230, 40, 30), wall).clip(0, 255).astype(np.uint8)
+    nearness = np.where(ball, 255, 40).astype(np.uint8)
+    return np.concatenate([colours, np.repeat(nearness[..., None], 3, 2)], 1), ball
+
+
+def behind(scene: Gaussians) -> tuple[np.ndarray, np.ndarray]:
+    """The colours 0..255 of the layer behind, of 2 x 2 pixels each, and where it is, bool."""
+    rows, columns = ROWS.shape[0] // 2, ROWS.shape[1] // 2
+    layer = slice(ROWS.size, ROWS.size + rows * columns)
+    colours = 255 * (0.5 + 0.28209479177387814 * scene.sh[layer, 0].reshape(rows, columns, 3).numpy())
+    return colours, (scene.opacities[layer] > 0).reshape(rows, columns).numpy()
+
+
+def halved(values: np.ndarray) -> np.ndarray:
+    return values.reshape(values.shape[0] // 2, 2, values.shape[1] // 2, 2, -1).mean((1, 3))
+
+
+def test_what_was_seen_stays_behind_what_passes_until_the_camera_moves_or_the_picture_is_cut():
+    photo = PhotoOptions(rgbd="right", depth_range=(1.0, 2.0))
+    clip = [passing(number) for number in range(11)]
+    _, made = live([picture for picture, _ in clip], photo)
+    covered = halved(clip[-1][1])[..., 0] == 1
+    colours, is_there = behind(made[-1])
+    seen = covered & is_there
+    assert seen.sum() > 0.5 * covered.sum()
+    assert np.abs(colours - halved(WALL))[seen].mean() < 3  # the texture, not a smooth guess
+    guess, _ = behind(live([clip[-1][0]], photo)[1][0])
+    assert np.abs(guess - halved(WALL))[seen].mean() > 15
+    moved = [passing(number, np.roll(WALL, 6 * number, 1))[0] for number in range(11)]
+    cut = [*(picture for picture, _ in clip[:10]), passing(10, 255 - WALL[::-1])[0]]
+    for pictures in (moved, cut):
+        anew, _ = behind(live(pictures, photo)[1][-1])
+        alone, _ = behind(live(pictures[-1:], photo)[1][0])
+        np.testing.assert_array_equal(anew, alone)

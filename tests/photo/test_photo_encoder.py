@@ -96,3 +96,15 @@ def test_a_network_in_bfloat16_draws_the_same():
     rig = frame_photo(gaussians, PANEL)
     images = [encode(g, PANEL, rig) for g in (gaussians, half.predict(rgba))]
     assert psnr_db(*images) > 40
+
+
+def test_a_rig_of_all_photos_draws_each_by_it():
+    net, rgba = tiny_net(), photo(60, 80)
+    first = PhotoEncoder(net, PANEL)
+    image = first(rgba)
+    fixed = PhotoEncoder(net, PANEL, rig=first.rig)
+    assert torch.equal(fixed(rgba), image) and fixed.rig is first.rig
+    other = photo(80, 40, (0.1, 0.3, 0.8))
+    assert torch.equal(fixed(other), encode(net.predict(other), PANEL, first.rig))
+    with pytest.raises(InputError, match="look"):
+        PhotoEncoder(net, PANEL, rig=first.rig, look=Look(zoom=2.0))

@@ -38,8 +38,8 @@ class Live:
         gaussians = scene()
         self.rig, self.page = Rig.frame(gaussians, panel), PageOut(panel, Health())
         staged = StagedScene(gaussians, self.rig, "camera", (0.2, 0.3, 0.4))
-        options = FrameOptions(background=staged.background, quality="high")
-        self.stage = LiveStage(staged, panel, lambda: self.page.newest()[1], options)
+        options = FrameOptions(background=staged.background)
+        self.stage = LiveStage(staged, panel, lambda: self.page.newest()[1])
         native = lambda options: NativeRenderer(panel, options, False)
         self._draw = SteeredRenderer(self.stage, options, renderer or native)
         self._count = 0
@@ -63,12 +63,10 @@ def test_controls_of_the_page_act_on_the_pictures_that_follow():
     live, other = Live(PANEL), scene(seed=5)
     with serving(live.routes) as server:
         facts = json.loads(get(server, "/scene.json")[1])
-        assert facts["defaults"]["quality"] == "high" and facts["follow_ms"] > 0 and facts["exports"] == []
+        assert facts["qualities"] == [] and facts["follow_ms"] > 0 and facts["exports"] == []
         before = live(other)
-        np.testing.assert_array_equal(
-            before, encode(other, PANEL, live.rig, background=(0.2, 0.3, 0.4), quality="high").numpy()
-        )
-        words = "zoom=1.4&depth_amount=0.5&focus=3&quality=exact&background=%23ff8000"
+        np.testing.assert_array_equal(before, encode(other, PANEL, live.rig, background=(0.2, 0.3, 0.4)).numpy())
+        words = "zoom=1.4&depth_amount=0.5&focus=3&background=%23ff8000"
         assert get(server, "/rest", "POST", words, X_Token=facts["token"])[0] == 204
         after = live(other)
         rig = Controls(zoom=1.4, depth_amount=0.5, focus=3).rig(live.rig, PANEL)

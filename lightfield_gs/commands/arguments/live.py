@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from lightfield_gs.base.options import QUALITY_NAMES, VIEWS
@@ -72,8 +73,15 @@ def add_arguments(parser: Parser) -> None:
         "--pixels",
         type=whole(10_000, 1_500_000),
         metavar="N",
-        help="take so many pixels of each picture at most, 10000..1500000 (default: as many as hold --fps; a line says "
-        "when they become fewer)",
+        help="take so many pixels of each picture at most, 10000..1500000 (default: as many as the panel shows and "
+        "hold --fps; a line says when they become fewer)",
+    )
+    add(
+        "--remember",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        short="put what was seen there before behind things",
+        help="put behind things in front what was seen there before, while the camera stands still (default: yes)",
     )
     add_panel(parser.add_argument, "for framing")
     add_eyes(parser.add_argument)
@@ -85,8 +93,7 @@ def add_arguments(parser: Parser) -> None:
     add(
         "--quality",
         choices=QUALITY_NAMES,
-        default="exact",
-        help="less time for more error (default exact), as `encode`",
+        help="less time for more error, as `encode`; default: exact, or fast where that does not hold --fps",
     )
     add_rendering(rarely(parser.add_argument))
     add_drawing_device(rarely(parser.add_argument))

@@ -179,14 +179,13 @@ class Stage:
     is_tracked = False  # whether the picture follows the viewer's eyes
     follow_ms: int | None = None  # time between two looks at a picture that changes by itself; None: it does not
     has_quality = True  # whether less time for more error can be chosen
-    opened = Controls()  # with which a scene opens
     is_for_browsers = True  # whether a browser may draw the scene by itself
 
     def __init__(self, scene: StagedScene, panel: Panel, device: str | None = None):
         self.scene, self.panel, self._device = scene, panel, device
         self.is_live = scene.gaussians.device.type == "cuda"
         self.version, self.number = 0, 0  # count the resting states of the page, and its scenes
-        self._settled, self._changed = self.opened, threading.Condition()
+        self._settled, self._changed = Controls(), threading.Condition()
         self._native: tuple[object, np.ndarray] | None = None
         self._moving: tuple[tuple[str, str], Encoder] | None = None
 
@@ -194,7 +193,7 @@ class Stage:
         """Show another scene, as it opens. Only the thread of pictures at rest may call this."""
         with self._changed:
             self.scene, self._native, self._moving = scene, None, None
-            self._settled = self.opened
+            self._settled = Controls()
             self.number += 1
             self.version += 1
             self._changed.notify_all()

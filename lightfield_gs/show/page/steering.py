@@ -172,7 +172,7 @@ def _facts(stage: Stage) -> dict[str, object]:
         "zone_mm": None if missing_geometry(panel) else 2 * stage.eye_mm(Controls(eye=0.5))[0],
         "rig": {"zero_depth": stage.base.zero_depth, "cone_deg": stage.base.cone_deg or panel.cone_deg},
         "background": "#" + "".join(f"{round(255 * part):02x}" for part in stage.scene.background),
-        "defaults": asdict(stage.opened),
+        "defaults": asdict(Controls()),
         "ranges": RANGES,
         "qualities": QUALITY_NAMES if stage.has_quality else (),
     }

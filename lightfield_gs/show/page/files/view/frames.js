@@ -117,6 +117,10 @@ export class Frames {
         const pane = this.mode === "split" ? "eye" : this.mode, began = performance.now();
         this.lay(pane, await this.draw(pane, false), false);
         this.adapt(performance.now() - began);
+        if (!follow_ms && this.rested === this.moves) { // in full again when the eyes rest
+          clearTimeout(this.restTimer);
+          this.restTimer = setTimeout(() => this.rest(), REST_MS);
+        }
       } catch {
         await new Promise((done) => setTimeout(done, 1000)); // another picture opens, or the program has ended
       }

@@ -1,0 +1,107 @@
+"""The Gaussians of whole pictures with depths, estimated or measured: picture after picture of one camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from lightfield_gs.app.options import AUTO, LookOptions, PhotoOptions
+from lightfield_gs.app.photo import place_photo, read_frame
+from lightfield_gs.app.photo_depth import depth_camera, steady_pictures
+from lightfield_gs.io.images import Picture
+from lightfield_gs.live.objects import to_device
+from lightfield_gs.panels.panel import Panel
+from lightfield_gs.photo.background_memory import BackgroundMemory
+from lightfield_gs.photo.quick_layers import QuickLayers
+from lightfield_gs.photo.rgbd import known_camera
+from lightfield_gs.scene.gaussians import Gaussians
+
+
+class LiveDepths:
+    """Makes the Gaussians of picture after picture, where they are drawn.
+
+    Args:
+        name: Of the source, for messages.
+        photo: How its pictures are taken.
+        look: See place_photo.
+        panel: The panel.
+        device: "cpu" or "cuda".
+        memory: What was seen before behind what is in front. None: nothing is remembered.
+    """
+
+    def __init__(
+        self,
+        name: Path,
+        photo: PhotoOptions,
+        look: LookOptions,
+        panel: Panel,
+        device: str,
+        memory: BackgroundMemory | None,
+    ):
+        self._name, self._photo, self._look, self._panel = name, photo, look, panel
+        self._device, self._memory = torch.device(device), memory
+        self._size: tuple[int, int] | None = None
+
+    def read(self, picture: Picture) -> Photographed:
+        """Return a picture as it is read. Raises InputError."""
+        pixels = picture.pixels
+        if self._photo.depth == AUTO and not self._photo.remove_background and _is_plain(pixels):
+            return Photographed(pixels, None)
+        read = read_frame(self._name, picture, self._photo)
+        return Photographed(read.photo.pixels, None if read.depth is None else read.depth.z)
+
+    def __call__(self, pictures: Iterable[tuple[int, Photographed]]) -> Iterator[tuple[int, Gaussians]]:
+        """Yield the Gaussians of numbered pictures; their count changes with the pictures' size alone."""
+        if self._photo.depth != AUTO:
+            for number, read in pictures:
+                assert read.z is not None
+                yield number, self._scene(self._image(read), torch.from_numpy(read.z).to(self._device))
+            return
+        pending: dict[int, torch.Tensor] = {}
+
+        def images() -> Iterator[tuple[int, np.ndarray]]:
+            for number, read in pictures:
+                pending[number] = self._image(read)
+                yield number, read.pixels
+
+        for number, find_z in steady_pictures(images(), self._photo, self._device.type):
+            image = pending.pop(number)
+            yield number, self._scene(image, find_z(image[..., :3]))
+
+    def _image(self, read: Photographed) -> torch.Tensor:
+        values = to_device(read.pixels, self._device)
+        return values / 255 if values.dtype == torch.uint8 else values
+
+    def _scene(self, image: torch.Tensor, z: torch.Tensor) -> Gaussians:
+        height, width = z.shape
+        if self._size != (height, width):
+            focal, centre, _, _ = depth_camera(self._photo, height, width, None)
+            known = known_camera(focal, centre, height, width)
+            placed, _ = place_photo(self._photo, self._panel, self._look, _with_alpha(image), z, *known)
+            margin = (0, 0, 0, 0) if placed is None else placed.margin_px
+            self._size = height, width
+            self._layers = QuickLayers(self._size, *known, margin, self._device, self._memory)
+        return self._layers(image, z)
+
+
+class Photographed:
+    """A picture as it is read.
+
+    Attributes:
+        pixels: [H, W, 3 or 4], uint8, or float32 in 0..1.
+        z: [H, W], scene units; None: a network estimates it.
+    """
+
+    def __init__(self, pixels: np.ndarray, z: np.ndarray | None):
+        self.pixels, self.z = pixels, z
+
+
+def _is_plain(pixels: np.ndarray) -> bool:
+    return pixels.dtype == np.uint8 and pixels.shape[2] == 3
+
+
+def _with_alpha(image: torch.Tensor) -> torch.Tensor:
+    return image if image.shape[2] == 4 else torch.cat([image, torch.ones_like(image[..., :1])], 2)
