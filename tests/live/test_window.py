@@ -72,6 +72,13 @@ def window(screen):
     window.close()
 
 
+def test_q_ends_it(window, screen):
+    opened, _ = window
+    assert opened.handle_events(0.01)
+    screen.press("q")
+    assert any(not opened.handle_events(0.1) for _ in range(50))
+
+
 def check_pictures(window, screen, device: str) -> None:
     random = np.random.default_rng(0)
     for _ in range(3):
