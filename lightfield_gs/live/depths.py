@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -87,7 +88,7 @@ class LiveDepths:
         return self._layers(image, z)
 
 
-class Photographed:
+class Photographed(NamedTuple):
     """A picture as it is read.
 
     Attributes:
@@ -95,8 +96,8 @@ class Photographed:
         z: [H, W], scene units; None: a network estimates it.
     """
 
-    def __init__(self, pixels: np.ndarray, z: np.ndarray | None):
-        self.pixels, self.z = pixels, z
+    pixels: np.ndarray
+    z: np.ndarray | None
 
 
 def _is_plain(pixels: np.ndarray) -> bool:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import interpolate
 
 from lightfield_gs.base.arrays import to_tensor
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
@@ -169,6 +170,8 @@ def z_of_estimate(
         found = distances_to_z(1 / estimate.disparities)
     else:
         found = disparities_to_z(estimate.disparities, limits, estimate.limits)
+    if estimate.disparities.numel() >= photo.shape[0] * photo.shape[1]:  # each pixel takes the depth at its middle
+        return found.z(interpolate(found.disparities[None, None], size=photo.shape[:2], mode="nearest-exact")[0, 0])
     return found.z(upsample(found.disparities, photo, found.value_range))
 
 
