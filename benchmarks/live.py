@@ -48,7 +48,7 @@ from lightfield_gs.video.rendering import FrameOptions
 
 WAYS = ("object", "depth")
 SECONDS, WARM_UP_S = 10.0, 3.0
-NETWORK_PX = {"cpu": 126, "cuda": 518}
+NETWORK_PX = {"cpu": 98, "cuda": 518}
 _HEIGHT, _WIDTH, _FRAMES = 1080, 1920, 24
 _PLAIN = 1, 1  # numbers of ITU-T H.273 of BT.709
 

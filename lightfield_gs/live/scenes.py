@@ -232,6 +232,8 @@ class LiveScenes:
             focal, centre, _, _ = depth_camera(self._photo, height, width, None)
             focal, _ = known_camera(focal, centre, height, width)
             self.detail.limit(rig.focal_px[0] / focal[0] * view_fraction(self._panel))
+        if not self._is_whole and self._device == "cuda":
+            self.detail.take_whole()
         self.messages = [self._renamed(line, path) for line in [*lines, *messages, *first.messages, *how]]
 
     def _kind_of(self, path: Path, picture: Picture) -> tuple[PhotoOptions, list[str]]:
