@@ -101,13 +101,18 @@ def refuse_panel(panel: str | None) -> None:
         raise InputError("--panel is one of many views, and this picture is for another screen; leave it out")
 
 
-def panel_of(stereo: StereoOptions, panel: PanelOptions) -> tuple[Panel, list[str]]:
+def panel_of(stereo: StereoOptions, panel: PanelOptions, names: str = "--stereo") -> tuple[Panel, list[str]]:
     """Return the panel of a screen of two eyes where --stereo asks for one, else that of --panel; and a line on it.
+
+    Args:
+        stereo: The options.
+        panel: Of --panel.
+        names: See refuse_stereo.
 
     Raises:
         InputError: Options exclude each other, or the panel cannot be used.
     """
-    refuse_stereo(stereo)
+    refuse_stereo(stereo, names)
     if stereo.stereo is None:
         return load_panel(panel), []
     refuse_panel(panel.panel)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lightfield_gs.app.options import EyesOptions, PanelOptions
 from lightfield_gs.app.own_eyes import OwnEyes, own_eyes
 from lightfield_gs.app.panel import is_display_connected, load_panel
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
+from lightfield_gs.base.options import StereoLayout
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.simulate import check_geometry
 from lightfield_gs.panels.stereo_screen import StereoScreen
@@ -35,23 +36,28 @@ class TrackedScreen:
 
 
 def refuse_eyes(options: EyesOptions) -> None:
-    """Raise InputError for options of tracked eyes without --eyes."""
+    """Raise InputError for options of the camera that sees the eyes, without --eyes."""
     for name in ("tracker_fov", "tracker_at"):
         if getattr(options, name) is not None:
             raise InputError(f"--{name.replace('_', '-')} is for --eyes; give it too, or leave this one out")
 
 
-def tracked_screen(options: EyesOptions, panel: PanelOptions, view_filter: float) -> TrackedScreen:
+def tracked_screen(
+    options: EyesOptions, layout: StereoLayout | None, panel: PanelOptions, view_filter: float
+) -> TrackedScreen:
     """Return the screen of --eyes: the panel that is named or connected, else a plain screen.
 
     Args:
         options: Of the eyes.
+        layout: Of --stereo, which excludes them.
         panel: Of the panel.
         view_filter: See RenderOptions: two views have none between them.
 
     Raises:
         InputError: Options exclude each other, or before the panel no eye can be placed.
     """
+    if layout is not None:
+        raise InputError("--stereo is for glasses, and --eyes for eyes without; leave out one")
     if view_filter:
         raise InputError("--view-filter averages over views, and --eyes draws two alone; leave out one")
     if options.screen_size is not None and panel.panel is not None:
@@ -67,7 +73,8 @@ def tracked_screen(options: EyesOptions, panel: PanelOptions, view_filter: float
         )
         why = "" if options.screen_size is not None else " (no 3D display was found: --panel; --screen-size INCHES)"
         words = f"eyes: the picture follows them on a plain screen of {screen.diagonal_in:g} inches{why}"
-        return TrackedScreen(screen.panel(), True, eyes_mm, [words])
+        plain = replace(screen.panel(), name=f"screen of {screen.diagonal_in:g} inches")
+        return TrackedScreen(plain, True, eyes_mm, [words])
     if options.eye_size is not None:
         raise InputError("--eye-size is of a screen without lenses, and this panel has its own; leave it out")
     lenses = load_panel(panel)

@@ -7,20 +7,23 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 
 import torch
 
-from lightfield_gs.app.options import LookOptions, PanelOptions, PhotoOptions, RenderOptions
+from lightfield_gs.app.options import EyesOptions, LookOptions, PanelOptions, PhotoOptions, RenderOptions
 from lightfield_gs.app.scene import check_photo_options
+from lightfield_gs.app.tracked_eyes import TrackedScreen, refuse_eyes, tracked_screen
 from lightfield_gs.app.video import DEFAULT_FPS
 from lightfield_gs.base.cli_messages import as_options, capturable_streams, say, say_next, say_now
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import QualityName, Views
 from lightfield_gs.commands.live_ways import WayOptions, WaysOut
 from lightfield_gs.commands.options.parser import read_options
+from lightfield_gs.commands.tracking import open_tracker
+from lightfield_gs.encoding.eyes import EyesDrawing
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.live.detail import Detail
 from lightfield_gs.live.health import Health
@@ -28,8 +31,11 @@ from lightfield_gs.live.pipeline import Pipeline
 from lightfield_gs.live.reader import Reader
 from lightfield_gs.live.scenes import LiveScenes
 from lightfield_gs.live.sources import open_source
+from lightfield_gs.live.steering import LiveStage, SteeredRenderer
 from lightfield_gs.photo.side_by_side import is_rgbd_name
-from lightfield_gs.video.rendering import FrameOptions
+from lightfield_gs.show.page.stage import StagedScene
+from lightfield_gs.tracking.tracker import EyeTracker
+from lightfield_gs.video.rendering import EyesRenderer, FrameOptions, FrameRenderer
 from lightfield_gs.webgpu.devices import choose_drawing_device
 
 _MANY_FRAMES = 100  # for the choice of a device, whose start they outweigh
@@ -49,6 +55,7 @@ class LiveOptions:
     Attributes:
         source: As `open_source` takes it.
         ways: Where it goes.
+        eyes: That are tracked, for which two views take the place of the panel's.
         loop: Whether a film begins again.
         seconds: After which it ends. None: at Ctrl-C, or at the end of a film.
         fps: Frames a second that are to be held.
@@ -71,6 +78,7 @@ class LiveOptions:
     views: Views = "integer"
     quality: QualityName | None = None
     device: str = "auto"
+    eyes: EyesOptions = field(default_factory=EyesOptions)
 
 
 def run(args: argparse.Namespace) -> None:
@@ -84,8 +92,8 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     fps = options.fps or DEFAULT_FPS
     source = open_source(options.source, float(fps), options.loop)
     detail = Detail(float(fps), options.pixels, "exact" if _has_two_eyes(options) else options.quality)
-    health = Health()
-    ways = WaysOut(options.ways, options.panel, fps, health, stack, say_now)
+    health, tracked = Health(), _tracked(options)
+    ways = WaysOut(options.ways, options.panel, tracked, fps, health, stack, say_now)
     panel = ways.panel
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
     reader = Reader(source, health.has_taken, say_now)
@@ -104,10 +112,15 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
         options.views, how.background, detail.quality, how.antialiased, how.view_filter, device.webgpu
     )
     height, width = detail.size_px
-    say(f"{source.name}: {width} x {height}, on {ways.screen}", *device.messages, *scenes.messages)
+    tracker, lines = (None, []) if tracked is None else open_tracker(options.eyes, tracked, say_now)
+    if tracker is not None:
+        stack.callback(tracker.stop)
+    say(f"{source.name}: {width} x {height}, on {ways.screen}", *device.messages, *lines, *scenes.messages)
     health.take()  # the start is no part of how it fares
     end = _End(health, detail, options.seconds, ways.hint)
-    pipeline = Pipeline(reader, scenes, ways.drawer(drawing, detail), ways.outs, health, end.now)
+    opening = StagedScene(scenes.first[1], scenes.rig, source.name, how.background, how.antialiased, how.view_filter)
+    drawer = _Drawer.of(opening, drawing, detail, ways, tracker)
+    pipeline = Pipeline(reader, scenes, drawer.draw, ways.outs, health, end.now, drawer.state)
     began = time.monotonic()
 
     def start(end_showing: Callable[[], None]) -> None:
@@ -115,7 +128,7 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
         end.start(end_showing)
 
     try:
-        ways.run(start)
+        ways.run(start, {} if drawer.stage is None else drawer.stage.routes())
     finally:
         end.now()
         pipeline.stop()
@@ -125,8 +138,53 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
         say_next("show", ways.output)
 
 
+def _tracked(options: LiveOptions) -> TrackedScreen | None:
+    """Return the screen of --eyes; None without. Raises InputError."""
+    if options.eyes.eyes is None:
+        refuse_eyes(options.eyes)
+        return None
+    if options.ways.virtual_camera is not None:
+        raise InputError("--virtual-camera is for viewers elsewhere, whose eyes are not seen; leave out --eyes")
+    return tracked_screen(options.eyes, options.ways.stereo.stereo, options.panel, options.render.view_filter)
+
+
+@dataclass(frozen=True)
+class _Drawer:
+    """What draws the pictures, and what decides how.
+
+    Attributes:
+        draw: Draws.
+        tracker: Of eyes. None: they are not tracked.
+        stage: Of the owner's page. None: there is none.
+    """
+
+    draw: FrameRenderer
+    tracker: EyeTracker | None
+    stage: LiveStage | None
+
+    @staticmethod
+    def of(
+        opening: StagedScene, options: FrameOptions, detail: Detail, ways: WaysOut, tracker: EyeTracker | None
+    ) -> _Drawer:
+        """Return it, with the scene by which the owner's page opens."""
+        renderer: Callable[[FrameOptions], FrameRenderer] = lambda drawing: ways.drawer(drawing, detail)
+        if tracker is not None:
+            eyes, now = EyesDrawing(ways.panel, ways.fills_screen), tracker.now
+            renderer = lambda drawing: EyesRenderer(eyes, ways.size_px, drawing, now)
+        if (page := ways.page) is None:
+            return _Drawer(renderer(options), tracker, None)
+        stage = LiveStage(opening, ways.panel, lambda: page.newest()[1], options.device, ways.fills_screen)
+        return _Drawer(SteeredRenderer(stage, options, renderer), tracker, stage)
+
+    def state(self) -> object:
+        """Return what a picture depends on beside its scene."""
+        eyes = None if self.tracker is None else self.tracker.steady().tobytes()
+        return eyes, None if self.stage is None else self.stage.resting()
+
+
 def _has_two_eyes(options: LiveOptions) -> bool:
-    return options.ways.stereo.stereo is not None or options.ways.virtual_camera is not None
+    ways = options.ways
+    return bool(ways.stereo.stereo or ways.virtual_camera or options.eyes.eyes)
 
 
 def _check(options: LiveOptions) -> None:

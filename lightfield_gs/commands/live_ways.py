@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -13,6 +13,7 @@ from pathlib import Path
 from lightfield_gs.app.options import PanelOptions, StereoOptions
 from lightfield_gs.app.panel import BROWSER_OPENS, connected_position, where_to_show
 from lightfield_gs.app.stereo import panel_of, refuse_files
+from lightfield_gs.app.tracked_eyes import TrackedScreen
 from lightfield_gs.base.cli_messages import say
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import CodecName
@@ -27,6 +28,7 @@ from lightfield_gs.live.recording import Recording
 from lightfield_gs.live.virtual_camera import VirtualCamera, find_virtual_camera
 from lightfield_gs.live.window import WindowOut
 from lightfield_gs.show.display_browser import DisplayBrowser, find_browser
+from lightfield_gs.show.page.server import Route
 from lightfield_gs.show.window.native_window import NativeWindow
 from lightfield_gs.video.rendering import FrameOptions, FrameRenderer, StereoRenderer, pair_size_px
 from lightfield_gs.video.video_file import choose_codec
@@ -61,6 +63,7 @@ class WaysOut:
     Args:
         options: Where the pictures go.
         panel: That of the command.
+        tracked: The screen of --eyes, in place of both. None: eyes are not tracked.
         fps: Of the recording.
         health: Counts.
         stack: Closes what is opened.
@@ -72,6 +75,7 @@ class WaysOut:
         outs: They take the pictures.
         hint: Words of the health line where nobody takes the pictures.
         output: The file of the recording.
+        page: The page; None where a window or a virtual camera takes its place.
 
     Raises:
         InputError: Options exclude each other, or there is no such way here.
@@ -81,6 +85,7 @@ class WaysOut:
         self,
         options: WayOptions,
         panel: PanelOptions,
+        tracked: TrackedScreen | None,
         fps: Fraction,
         health: Health,
         stack: ExitStack,
@@ -88,13 +93,22 @@ class WaysOut:
     ):
         self._options = options = _settled(options)
         self._layout, self._stack = options.stereo.stereo, stack
-        self.panel, lines = panel_of(options.stereo, panel)
+        self.page: PageOut | None = None
+        self._is_plain = tracked is not None and tracked.is_plain
+        if tracked is None:
+            self.panel, lines = panel_of(options.stereo, panel, "--stereo or --eyes")
+        else:
+            self.panel, lines = tracked.panel, tracked.messages
+        if self._is_plain and options.window:
+            raise InputError("--window is of a display with lenses, and none was found: give --panel, or leave it out")
         say(*lines)
         self.size_px = self.panel.width_px, self.panel.height_px
         if self._layout is not None:
             self.size_px = pair_size_px(self.panel, self._layout)
         self.screen = f"panel {self.panel.name}" if self._layout is None else f"a screen of two eyes, {self._layout}"
-        self._names_display = panel.panel is None and self._layout is None
+        if self._is_plain:
+            self.screen = "a plain screen"
+        self._names_display = panel.panel is None and not self.fills_screen
         self.outs: list[Out] = []
         if options.virtual_camera is not None:
             path = find_virtual_camera(options.virtual_camera)
@@ -111,10 +125,16 @@ class WaysOut:
         else:
             self.hint = " (is the page open?)"
             self._run = self._open_page(health)
+        self._owners: Mapping[str, Route] = {}
         self._recording: Recording | None = None
         self.output = options.output
         if options.output is not None:
             self._recording = self._open_recording(options.output, fps, health)
+
+    @property
+    def fills_screen(self) -> bool:
+        """Whether the page shows the picture as large as the screen, not pixel for pixel."""
+        return self._layout is not None or self._is_plain
 
     def drawer(self, drawing: FrameOptions, detail: Detail) -> FrameRenderer:
         """Return what draws the pictures; detail: see LiveRenderer."""
@@ -122,12 +142,14 @@ class WaysOut:
             return StereoRenderer(self.panel, drawing, self._layout)
         return LiveRenderer(self.panel, drawing, detail)
 
-    def run(self, start: Callable[[Callable[[], None]], None]) -> None:
+    def run(self, start: Callable[[Callable[[], None]], None], owners: Mapping[str, Route]) -> None:
         """Take pictures until the end, or Ctrl-C; in the main thread.
 
         Args:
             start: Called when pictures can be taken, with what ends this, from another thread.
+            owners: Addresses of the owner's page, beside those of the display's page.
         """
+        self._owners = owners
         if self._recording is not None:
             self._recording.begin()
             self._stack.callback(self._recording.end)
@@ -163,10 +185,10 @@ class WaysOut:
 
     def _open_page(self, health: Health) -> _Run:
         """Open the page, which a browser of its own shows on the display where that is found, else the usual one."""
-        page = PageOut(self.panel, health, fills=self._layout is not None)
+        page = self.page = PageOut(self.panel, health, self.fills_screen)
         self.outs.append(page)
         serving = self._options.serving
-        position = None if serving.no_open or self._layout is not None else connected_position()
+        position = None if serving.no_open or self.fills_screen else connected_position()
         has_browser = position is not None and find_browser() is not None
         if self._names_display:
             say(*where_to_show(self.panel, BROWSER_OPENS if has_browser else None))
@@ -174,7 +196,12 @@ class WaysOut:
         if browser is not None:
             self._stack.callback(browser.close)
         opened = webbrowser.open if browser is None else browser.open
-        return lambda start: serve(serving, page.routes(), "/panel", opened, start)
+
+        def run(start: Callable[[Callable[[], None]], None]) -> None:
+            say("the address without its end, panel, has depth, focus, size and more for the pictures that follow")
+            serve(serving, {**self._owners, **page.routes()}, "/panel", opened, start)
+
+        return run
 
 
 _Run = Callable[[Callable[[Callable[[], None]], None]], None]  # see WaysOut.run

@@ -27,7 +27,7 @@ from lightfield_gs.app.options import (
 from lightfield_gs.app.panel import connected_position
 from lightfield_gs.app.scene import check_scene_options, load_framed
 from lightfield_gs.app.scene_film import frame_scenes
-from lightfield_gs.app.stereo import panel_of, refuse_files, refuse_stereo
+from lightfield_gs.app.stereo import panel_of, refuse_files
 from lightfield_gs.app.tracked_eyes import TrackedScreen, refuse_eyes, tracked_screen
 from lightfield_gs.app.video import DEFAULT_FPS
 from lightfield_gs.base.cli_messages import Stopwatch, note, say, say_now
@@ -146,12 +146,9 @@ def _view(options: ViewOptions, watch: Stopwatch) -> None:
 def _screen(options: ViewOptions) -> tuple[Panel, list[str], TrackedScreen | None]:
     """Return the panel, lines on it, and the screen of tracked eyes, where they are. Raises InputError."""
     if options.eyes.eyes is None:
-        refuse_stereo(options.stereo, "--stereo or --eyes")
         refuse_eyes(options.eyes)
-        return *panel_of(options.stereo, options.panel), None
-    if options.stereo.stereo is not None:
-        raise InputError("--stereo is for glasses, and --eyes for eyes without; leave out one")
-    tracked = tracked_screen(options.eyes, options.panel, options.render.view_filter)
+        return *panel_of(options.stereo, options.panel, "--stereo or --eyes"), None
+    tracked = tracked_screen(options.eyes, options.stereo.stereo, options.panel, options.render.view_filter)
     return tracked.panel, tracked.messages, tracked
 
 
@@ -166,7 +163,7 @@ def _stage(
     """Return what draws the scene, and words on where."""
     if tracker is not None:
         stage = TrackedStage(scene, panel, tracker.now(), is_plain, device)
-        tracker.follow(stage.look, lambda: stage.draw_s)
+        tracker.follow(stage.look, lambda: stage.drawing.seconds)
         return stage, "a plain screen" if is_plain else f"panel {panel.name}, for two eyes"
     if (layout := options.stereo.stereo) is not None:
         return StereoStage(scene, panel, layout, device), f"a screen of two eyes, {layout}"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -15,6 +18,8 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.tracked_eyes import Eyes, eye_cameras, panel_for_eyes
 from lightfield_gs.scene.gaussians import Gaussians
+
+_NEWEST = 0.3  # weight of the newest time of drawing in their average
 
 
 @torch.no_grad()
@@ -113,6 +118,30 @@ def render_head_coupled(
     cameras = eye_cameras(panel, rig, [np.mean(eyes_mm, 0)])
     picture = render_cameras(gaussians, cameras, background=background, antialiased=antialiased, device=device)
     return to_bytes(picture[0])
+
+
+class EyesDrawing:
+    """Draws scenes for two eyes, on a panel with lenses or on a plain screen, and measures its time.
+
+    Args:
+        panel: Of the screen.
+        is_plain: Whether it has no lenses.
+
+    Attributes:
+        seconds: What a picture takes, an average in which newer ones count more; 0 before the first.
+    """
+
+    def __init__(self, panel: Panel, is_plain: bool):
+        self.seconds = 0.0
+        self._panel, self._draw = panel, render_head_coupled if is_plain else encode_eyes
+
+    def __call__(self, gaussians: Gaussians, rig: Rig, eyes_mm: Eyes, **how: Any) -> Tensor:
+        """Return the picture uint8 [H, W, 3]; how: see encode_eyes. Raises InputError."""
+        began = time.perf_counter()
+        image = self._draw(gaussians, self._panel, rig, eyes_mm, **how)
+        weight = _NEWEST if self.seconds else 1.0
+        self.seconds += weight * (time.perf_counter() - began - self.seconds)
+        return image
 
 
 def _upper_half(panel: Panel, device: torch.device) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal, cast
 
@@ -11,11 +12,11 @@ from torch import Tensor
 from lightfield_gs.base.checks import expect, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import RENDER_MODES, CameraModel, RenderMode
-from lightfield_gs.gsplat.meta import TILE, Screen, describe
+from lightfield_gs.gsplat.meta import TILE, Description, Meta, Screen
 from lightfield_gs.gsplat.parts import SeenRows, check_group, check_same, gather_from_all
-from lightfield_gs.rasterizer.images import find_splats, render
-from lightfield_gs.rasterizer.render_options import RenderOptions
-from lightfield_gs.rasterizer.splat_shapes import is_drawn, splat_numbers
+from lightfield_gs.rasterizer.images import find_splats, render_and_splats
+from lightfield_gs.rasterizer.render_options import RenderOptions, with_sh_degree
+from lightfield_gs.rasterizer.splat_shapes import is_drawn
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
@@ -70,7 +71,7 @@ def rasterization(
     ftheta_coeffs: Any = None,
     rolling_shutter: Any = None,
     viewmats_rs: Tensor | None = None,
-) -> tuple[Tensor, Tensor, dict[str, Any]]:
+) -> tuple[Tensor, Tensor, Meta]:
     """Draw Gaussians before C cameras, with the arguments of gsplat 1.5.
 
     Args:
@@ -82,7 +83,8 @@ def rasterization(
         viewmats: [..., C, 4, 4], world to camera.
         Ks: [..., C, 3, 3].
         width, height: of the images, pixels.
-        near_plane, far_plane: only Gaussians of depths between them are drawn; near_plane is 0.01 or more.
+        near_plane, far_plane: only Gaussians of depths between them are drawn; near_plane is 0.01 or more. The default
+            far_plane cuts nothing.
         radius_clip: Gaussians of this radius or less, pixels, are not drawn.
         eps2d: variance of the blur, px^2.
         sh_degree: the degree that is drawn, of the stored one or lower; None: colors are colours.
@@ -147,34 +149,23 @@ def rasterization(
     choice: dict[str, Any] = {
         "antialiased": rasterize_mode == "antialiased",
         "near_plane": near_plane,
-        "far_plane": min(far_plane, _FARTHEST),
+        "far_plane": math.inf if far_plane >= _FARTHEST else far_plane,
         "radius_clip": radius_clip,
         "eps2d": eps2d,
     }
     everyone = _everyones(cameras, scene) if distributed else cameras
     screen = Screen(scene, everyone, absgrad, (covars, backgrounds, *own.values()))
-    numbers, parts, asked = None, scene, screen.tensor
+    splats, parts, asked = None, scene, screen.tensor
     if sparse_grad or distributed:
         splats = find_splats(scene, everyone, RenderOptions(**choice, covars=covars))
-        numbers = splat_numbers(splats, _NUMBERS, width, height)
         seen = SeenRows(is_drawn(splats).unflatten(0, (-1, views)).any(1), distributed)
         fields, asked = _seen_fields(fields, seen, asked, sh_degree, views, sparse_grad)
         parts, own = fields.drawn(views, sh_degree)
     behind: Any = (0.0, 0.0, 0.0)
     if backgrounds is not None and "features" not in own:
         behind = _flat(backgrounds, lead)
-    images = render(
-        parts,
-        cameras,
-        background=behind,
-        alpha=True,
-        render_mode=render_mode,
-        screen=asked,
-        sh_degree=sh_degree,
-        **choice,
-        **own,
-        **dict.fromkeys(_NUMBERS, cast(Any, numbers is None)),
-    )
+    options = RenderOptions(alpha=True, render_mode=render_mode, **choice, **own)
+    images, drawn = render_and_splats(with_sh_degree(parts, sh_degree), cameras, behind, options, asked)
     alphas = cast(Tensor, images.alpha).unsqueeze(-1)
     picture = images.image
     if images.features is not None and "RGB" in render_mode:
@@ -183,9 +174,7 @@ def rasterization(
             picture = picture + (1 - alphas) * _flat(backgrounds, lead)[..., None, None, :]
         if "D" in render_mode:
             picture = torch.cat([picture, images.image[..., -1:]], -1)
-    numbers = cast(dict[str, Tensor], images.named()) if numbers is None else numbers
-    meta = describe(numbers, scene, everyone, screen, packed, full)
-    meta |= {
+    known = {
         "tile_width": -(-width // TILE),
         "tile_height": -(-height // TILE),
         "tile_size": TILE,
@@ -194,11 +183,11 @@ def rasterization(
         "n_batches": max(1, lead.numel()),
         "n_cameras": cameras.count,
     }
-    return full(picture), full(alphas), meta
+    of_each = Description(drawn.detach() if splats is None else splats, scene, everyone, screen, packed, full)
+    return full(picture), full(alphas), Meta(known, of_each.later())
 
 
-_NUMBERS = ("radii", "means2d", "conics", "tiles")
-_FARTHEST = 1e30
+_FARTHEST = 1e10  # gsplat's default, scene units: from it on nothing is cut
 
 
 def _flat(tensor: Tensor, lead: torch.Size) -> Tensor:

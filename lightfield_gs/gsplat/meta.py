@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import UserDict
 from collections.abc import Callable, Iterable
+from functools import cached_property, partial
 from typing import Any, cast
 
 import torch
 from torch import Tensor
 
+from lightfield_gs.rasterizer.splat_shapes import splat_conics, splat_means, splat_radii, splat_tiles
 from lightfield_gs.scene.cameras import Cameras
 from lightfield_gs.scene.gaussians import Gaussians
 
@@ -19,7 +22,7 @@ class Screen:
 
     Attributes:
         tensor: what `render` takes as screen; None without gradients.
-        shown: the projected means of meta; a leaf, whose .grad and .absgrad backward sets.
+        shown: the projected means of meta; a leaf, whose .grad and .absgrad backward sets. None: nobody has read them.
     """
 
     def __init__(self, scene: Gaussians, cameras: Cameras, absgrad: bool, others: Iterable[Tensor | None]) -> None:
@@ -28,29 +31,35 @@ class Screen:
         tensors = [tensor for tensor in given if tensor is not None]
         lead = scene.means.shape[:-2]
         self.shape = (*lead, cameras.count, scene.count, 4 if absgrad else 2)
-        self.absgrad, self.shown = absgrad, torch.empty(0)
-        self.chosen: Tensor | None = None
+        self.absgrad = absgrad
+        self.shown: Tensor | None = None
+        self._early: Tensor | None = None
         self.tensor: Tensor | None = None
         if torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
             self.tensor = cast(Tensor, _Zeros.apply(scene.means.new_zeros((), requires_grad=True), self))
 
     def show(self, means2d: Tensor, chosen: Tensor | None, full: Callable[[Tensor], Tensor]) -> Tensor:
         """Keep and return the projected means; chosen: of packed ones, which they are."""
-        self.chosen, self._full = chosen, full
+        self._chosen, self._full = chosen, full
         self.shown = self._as_shown(means2d).detach().clone()
         if self.tensor is not None:
             self.shown.requires_grad_()
+        if self._early is not None:
+            self.deliver(self._early)
         return self.shown
 
     def deliver(self, gradient: Tensor) -> None:
-        """Set the gradients of what was shown."""
+        """Set the gradients of what is shown, or keep them for it."""
+        if self.shown is None:
+            self._early = gradient if self._early is None else self._early + gradient
+            return
         place = self._as_shown(gradient[..., :2])
         self.shown.grad = place if self.shown.grad is None else self.shown.grad + place
         if self.absgrad:
             self.shown.absgrad = self._as_shown(gradient[..., 2:])  # type: ignore[attr-defined]
 
     def _as_shown(self, numbers: Tensor) -> Tensor:
-        return self._full(numbers) if self.chosen is None else numbers[self.chosen]
+        return self._full(numbers) if self._chosen is None else numbers[self._chosen]
 
 
 class _Zeros(torch.autograd.Function):
@@ -68,41 +77,100 @@ class _Zeros(torch.autograd.Function):
         return None, None
 
 
-def describe(
-    numbers: dict[str, Tensor],
-    scene: Gaussians,
-    cameras: Cameras,
-    screen: Screen,
-    packed: bool,
-    full: Callable[[Tensor], Tensor],
-) -> dict[str, Any]:
-    """Return what gsplat's meta has of each Gaussian before each camera.
+class Meta(UserDict[str, Any]):
+    """gsplat's meta, whose tensors are made when they are read for the first time: few loops read all of them."""
+
+    def __init__(self, known: dict[str, Any], later: dict[str, Callable[[], Any]]) -> None:
+        """Keep what is known, and what makes the rest."""
+        self._later: set[str] = set()
+        super().__init__(known)
+        self.data |= later
+        self._later |= set(later)
+
+    def __getitem__(self, name: str) -> Any:
+        """Return an entry; make it first, if nobody has read it yet."""
+        if name in self._later:
+            self[name] = self.data[name]()
+        return self.data[name]
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        """Set an entry."""
+        self.data[name] = value
+        self._later.discard(name)
+
+    def __repr__(self) -> str:
+        """Return all entries as a dict shows them."""
+        return repr(dict(self))
+
+
+class Description:
+    """What gsplat's meta has of each Gaussian before each camera.
 
     Args:
-        numbers: radii, means2d, conics and tiles of `render`.
+        splats: [..., C, N, SPLAT_FIELDS], without gradients.
         scene: the Gaussians.
         cameras: that see them.
         screen: of the drawing.
         packed: whether the Gaussians that are drawn stand one after the other.
         full: gives what is not packed its dimensions of a batch.
     """
-    radii = numbers["radii"]
-    drawn = radii > 0
-    means, opacities = scene.means.detach(), scene.opacities.detach()
-    poses = cameras.world_to_camera.detach().to(means)
-    depths = (poses[..., 2, :3] @ means.mT) + poses[..., 2, 3:]
-    shown = {
-        "radii": radii.ceil().to(torch.int32)[..., None].expand(*radii.shape, 2),
-        "depths": depths,
-        "conics": numbers["conics"],
-        "opacities": opacities[..., None, :].expand_as(radii),
-        "tiles_per_gauss": numbers["tiles"] * drawn,
-    }
-    chosen = drawn if packed else None
-    ids: dict[str, Any] = {"batch_ids": None, "camera_ids": None, "gaussian_ids": None}
-    if packed:
-        places = drawn.nonzero().unbind(-1)
-        ids |= {"camera_ids": places[-2], "gaussian_ids": places[-1]}
-        ids["batch_ids"] = places[0] if len(places) == 3 else torch.zeros_like(places[-1])
-    found = {name: full(value) if chosen is None else value[chosen] for name, value in shown.items()}
-    return {**ids, **found, "means2d": screen.show(numbers["means2d"], chosen, full)}
+
+    def __init__(
+        self,
+        splats: Tensor,
+        scene: Gaussians,
+        cameras: Cameras,
+        screen: Screen,
+        packed: bool,
+        full: Callable[[Tensor], Tensor],
+    ) -> None:
+        self._splats, self._cameras, self._screen, self._packed, self._full = splats, cameras, screen, packed, full
+        self._means, self._opacities = scene.means.detach(), scene.opacities.detach()
+
+    def later(self) -> dict[str, Callable[[], Any]]:
+        """Return the entries, each by what makes it."""
+        shown = {
+            "radii": lambda: self._radii.ceil().to(torch.int32)[..., None].expand(*self._radii.shape, 2),
+            "depths": self._depths,
+            "conics": lambda: splat_conics(self._splats),
+            "opacities": lambda: self._opacities[..., None, :].expand_as(self._radii),
+            "tiles_per_gauss": self._tiles,
+        }
+        ids = ("batch_ids", "camera_ids", "gaussian_ids")
+        found = {name: partial(self._id, name) for name in ids}
+        return found | {name: partial(self._chosen, make) for name, make in shown.items()} | {"means2d": self._means2d}
+
+    @cached_property
+    def _radii(self) -> Tensor:
+        return splat_radii(self._splats)
+
+    @cached_property
+    def _drawn(self) -> Tensor:
+        return self._radii > 0
+
+    @cached_property
+    def _places(self) -> tuple[Tensor, ...]:
+        return self._drawn.nonzero().unbind(-1)
+
+    def _id(self, name: str) -> Tensor | None:
+        if not self._packed:
+            return None
+        *batch, camera, gaussian = self._places
+        if name == "batch_ids":
+            return batch[0] if batch else torch.zeros_like(gaussian)
+        return camera if name == "camera_ids" else gaussian
+
+    def _depths(self) -> Tensor:
+        poses = self._cameras.world_to_camera.detach().to(self._means)
+        return (poses[..., 2, :3] @ self._means.mT) + poses[..., 2, 3:]
+
+    def _tiles(self) -> Tensor:
+        size = self._cameras.width_px, self._cameras.height_px
+        return splat_tiles(self._splats, *cast(tuple[int, int], size)) * self._drawn
+
+    def _means2d(self) -> Tensor:
+        return self._screen.show(splat_means(self._splats), self._drawn if self._packed else None, self._full)
+
+    def _chosen(self, make: Callable[[], Tensor]) -> Tensor:
+        value = make()
+        return value[self._places] if self._packed else self._full(value)

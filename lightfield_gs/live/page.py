@@ -42,10 +42,10 @@ class PageOut:
 
     def routes(self) -> dict[str, Route]:
         """Return the addresses of the page."""
-        routes = panel_routes(self._panel, self._now, self._wait_for, self._fills, sent=self._sent)
-        return {**routes, "/": routes["/panel"]}
+        return panel_routes(self._panel, self.newest, self._wait_for, self._fills, sent=self._sent)
 
-    def _now(self) -> tuple[int, np.ndarray]:
+    def newest(self) -> tuple[int, np.ndarray]:
+        """Return the newest picture, uint8 [H, W, 3], and its number."""
         with self._changed:
             return self._version, self._pixels
 

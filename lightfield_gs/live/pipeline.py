@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import torch
 from torch import Tensor
@@ -17,6 +17,8 @@ from lightfield_gs.live.sources import Frame
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.video.rendering import FrameRenderer
 
+_REDRAW_S = 1 / 60  # between two looks at whether the picture would be another one
+
 
 class Pipeline:
     """Turns the pictures of a source into those that are shown, until the source ends or `stop` is called.
@@ -28,6 +30,7 @@ class Pipeline:
         outs: Where the pictures go.
         health: Counts.
         ended: Called once, from one of the threads, when the last picture is out.
+        state: Returns what a picture depends on beside its scene, as the controls of a page.
     """
 
     def __init__(
@@ -38,9 +41,10 @@ class Pipeline:
         outs: Sequence[Out],
         health: Health,
         ended: Callable[[], None],
+        state: Callable[[], object] = lambda: None,
     ):
         self._reader, self._scenes, self._draw, self._outs = reader, scenes, draw, outs
-        self._health = health
+        self._health, self._state = health, state
         self._drawable: Slot[tuple[Frame, Gaussians]] = Slot()
         self._drawn: Slot[tuple[Frame, Drawn]] = Slot()
         self._failed: BaseException | None = None
@@ -54,7 +58,8 @@ class Pipeline:
         ]
 
     def start(self) -> None:
-        """Begin."""
+        """Begin, with the scene by which the others were settled."""
+        self._drawable.put(self._scenes.first)
         for thread in self._threads:
             thread.start()
 
@@ -85,11 +90,22 @@ class Pipeline:
             self._drawable.put(item)
 
     def _encode(self) -> None:
-        for frame, gaussians in self._drawable:
+        for frame, gaussians in self._to_draw():
             with self._health.busy("encode"):
                 drawn = Drawn(_finished(self._draw(gaussians, self._scenes.rig, frame.number)))
             self._health.has_drawn()
             self._drawn.put((frame, drawn))
+
+    def _to_draw(self) -> Iterator[tuple[Frame, Gaussians]]:
+        """Yield scenes as they come, and the last one again where its picture would be another one by now."""
+        last, drawn_by = None, None
+        for item in self._drawable.within(_REDRAW_S):
+            now = self._state()
+            if item is None and (last is None or now == drawn_by):
+                continue
+            last, drawn_by = item or last, now
+            assert last is not None
+            yield last
 
     def _put_out(self) -> None:
         for frame, drawn in self._drawn:

@@ -70,10 +70,12 @@ class LiveScenes:
 
     Attributes:
         rig: Of all scenes, by the first picture.
+        first: The picture by which it was settled, and its scene.
         messages: Lines on what the first picture settled.
     """
 
     rig: Rig
+    first: tuple[Frame, Gaussians]
 
     def __init__(
         self,
@@ -104,7 +106,7 @@ class LiveScenes:
         for frame in frames:
             until = until or time.monotonic() + _PATIENCE_S
             try:
-                self._settle_by(self._picture(frame))
+                self.first = frame, self._settle_by(self._picture(frame))
                 return
             except _NotYetError:
                 if time.monotonic() > until:
@@ -197,8 +199,11 @@ class LiveScenes:
         self.detail.size_px = picture.pixels.shape[0], picture.pixels.shape[1]
         return picture
 
-    def _settle_by(self, picture: Picture) -> None:
-        """Take a picture as `video` takes the first of a film: from a file, by which it guesses what it is."""
+    def _settle_by(self, picture: Picture) -> Gaussians:
+        """Return the scene of a picture that is taken as `video` takes the first of a film.
+
+        It is taken from a file, by which `video` guesses what it is.
+        """
         lines: list[str] = []
         with scratch_folder() as folder:
             kind = ".exr" if picture.pixels.dtype == np.float32 else ".png"
@@ -235,6 +240,7 @@ class LiveScenes:
         if not self._is_whole and self._device == "cuda":
             self.detail.take_whole()
         self.messages = [self._renamed(line, path) for line in [*lines, *messages, *first.messages, *how]]
+        return first.gaussians
 
     def _kind_of(self, path: Path, picture: Picture) -> tuple[PhotoOptions, list[str]]:
         """Return the options with what a picture in a file is: a pair, or a photo with its depth map beside it."""

@@ -42,12 +42,17 @@ class Slot(Generic[_T]):
 
     def __iter__(self) -> Iterator[_T]:
         """Yield each thing as soon as it is there, until the slot is closed and empty."""
+        return (item for item in self.within(_LONGEST_WAIT_S) if item is not None)
+
+    def within(self, seconds: float) -> Iterator[_T | None]:
+        """Yield each thing as soon as it is there, and None as often as none came for so long; see __iter__."""
         while True:
             with self._changed:
-                while self._item is None and not self._is_closed:
-                    self._changed.wait(_LONGEST_WAIT_S)
+                if self._item is None and not self._is_closed:
+                    self._changed.wait(seconds)
                 item, self._item = self._item, None
-            if item is None:
+                is_over = item is None and self._is_closed
+            if is_over:
                 return
             yield item
 

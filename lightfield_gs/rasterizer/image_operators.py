@@ -39,12 +39,6 @@ def draw_images_and_splats(*arguments: Any) -> tuple[Tensor, ...]:
     return (*cast(_Images, render.draw()), render.splats)
 
 
-def render_images_and_splats(*arguments: Any) -> tuple[Tensor, ...]:
-    """Return the images of render_images, and the splats [B * V, N, SPLAT_FIELDS], which have no gradients."""
-    arguments = tuple(a.contiguous() if isinstance(a, Tensor) else a for a in arguments)
-    return render_images_with_state(*arguments)[:4]
-
-
 def render_images(*arguments: Any) -> _Images:
     """Render B scenes before V cameras each (Kerbl et al. 2023): the operator of this name.
 
@@ -66,16 +60,22 @@ def render_images(*arguments: Any) -> _Images:
         size = [given.means.shape[0], *given.world_to_camera.shape[1:2], given.means.shape[1]]
         if screen.dim() != 4 or list(screen.shape[:3]) != size or screen.shape[3] not in (2, 4):
             raise InputError(f"screen must be {size} of 2 or 4 numbers, got {list(screen.shape)}")
+    return cast(_Images, render_images_and_splats(*arguments)[:3])
+
+
+def render_images_and_splats(*arguments: Any) -> tuple[Tensor, ...]:
+    """Return the images of render_images, and the splats [B * V, N, SPLAT_FIELDS], which have no gradients."""
+    given = ImageArguments(*arguments)
     # Parts of other tensors are copied here, once: the backward would copy them again while the device waits
     tensors = tuple(t.contiguous() for t in given[:9])
     if _is_for_cuda(given.means) and is_eager(tensors):
         return _render_in_two_nodes(tensors[:5], tensors[5], tensors[6:], *given[9:])
-    return render_images_with_state(*tensors, *given[9:])[:3]
+    return render_images_with_state(*tensors, *given[9:])[:4]
 
 
 def render_scene(
     fields: tuple[Tensor, ...], background: Tensor, cameras: tuple[Tensor, ...], options: tuple[Any, ...]
-) -> _Images:
+) -> tuple[Tensor, ...]:
     """Render one scene, whose five fields [N, ...] have no leading B.
 
     On CUDA this saves the nodes of autograd and the call of an operator for a leading B.
@@ -87,13 +87,13 @@ def render_scene(
         options: the other arguments of ImageArguments, from width on.
 
     Returns:
-        The images of render_images.
+        What render_images_and_splats returns.
     """
     if _is_for_cuda(fields[0]) and is_eager((*fields, background, *cameras)):
         fields, cameras = (tuple(t.contiguous() for t in tensors) for tensors in (fields, cameras))
         return _render_in_two_nodes(fields, background.contiguous(), cameras, *options)
     batch = (field.unsqueeze(0) for field in fields)
-    return render_images(*batch, background, *cameras, *options)
+    return render_images_and_splats(*batch, background, *cameras, *options)
 
 
 def _with_state(*arguments: Any) -> tuple[Tensor, ...]:
@@ -267,8 +267,8 @@ def _render_in_two_nodes(
     antialiased: bool,
     screen: Tensor | None,
     model: int = 0,
-) -> _Images:
-    """Return the images of render_images by two nodes of autograd.
+) -> tuple[Tensor, ...]:
+    """Return what render_images_and_splats returns, by two nodes of autograd.
 
     Args:
         fields: its first five arguments, contiguous, or the fields of one scene without B.
@@ -280,7 +280,7 @@ def _render_in_two_nodes(
     options = (width, height, antialiased, model)
     state = _Project.apply(*fields, *cameras, background.detach(), options, screen, made)
     absolute = screen is not None and screen.shape[-1] == 4
-    return _Composite.apply(*state, background, made.pop(), absolute)
+    return (*_Composite.apply(*state, background, made.pop(), absolute), state[0].detach())
 
 
 class _Project(torch.autograd.Function):

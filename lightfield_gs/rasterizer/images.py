@@ -251,11 +251,45 @@ def _render_by_model(
     gaussians: Gaussians, cameras: Cameras, background: Colour, options: RenderOptions, screen: Tensor | None
 ) -> RenderedImages:
     """Render as `render` does, each image whole."""
+    drawn, view = _draw_by_model(gaussians, cameras, background, options, screen)
+    images = _asked_for(drawn, view, options, gaussians.count)
+    return images if gaussians.is_batched else images.changed(lambda name, tensor: tensor.squeeze(0))
+
+
+def render_and_splats(
+    gaussians: Gaussians, cameras: Cameras, background: Colour, options: RenderOptions, screen: Tensor | None
+) -> tuple[RenderedImages, Tensor]:
+    """Return what `render` returns of cameras that are not equirectangular, and the splats [..., C, N, SPLAT_FIELDS].
+
+    Args:
+        gaussians: as by `render`.
+        cameras: likewise.
+        background: likewise.
+        options: of `render`.
+        screen: as by `render`.
+
+    Raises:
+        InputError: as by `render`.
+    """
+    gaussians.validate_layout()
+    options = replace(options.checked(gaussians, cameras), splats=True)
+    drawn, view = _draw_by_model(gaussians, cameras, background, options, screen)
+    images = _asked_for(drawn, view, options, gaussians.count)
+    splats = _of_cameras(drawn, view, gaussians.count)
+    if gaussians.is_batched:
+        return images, splats
+    return images.changed(lambda name, tensor: tensor.squeeze(0)), splats.squeeze(0)
+
+
+def _draw_by_model(
+    gaussians: Gaussians, cameras: Cameras, background: Colour, options: RenderOptions, screen: Tensor | None
+) -> tuple[Drawn, View]:
+    """Draw what the options ask for, [B or 1, C, ...]; see `render`. Raises InputError."""
     if not gaussians.means.is_cuda:
         check_values(gaussians)  # on CUDA looking at values would wait for the device
     like, *others = gaussians.fields().values()
     given = options.features, options.colors, options.covars
-    refuse_tangents(like, *others, background, *cameras.ends().values(), cameras.intrinsics(), cameras.limits(), *given)
+    refuse_tangents(like, *others, background, *cameras.tensors().values(), *given)
     if torch.is_grad_enabled() and cameras.distortion is not None and cameras.distortion.requires_grad:
         raise InputError(
             "cameras: distortion has no gradients, and it requires one: detach() it, or use torch.no_grad()"
@@ -269,9 +303,7 @@ def _render_by_model(
     fields, view = _fields_and_view(gaussians, cameras, background)
     if screen is not None:
         screen = _checked_screen(screen, gaussians, cameras.count)
-    drawn = _drawn(fields, view, options, screen)
-    images = _asked_for(drawn, view, options, gaussians.count)
-    return images if batched else images.changed(lambda name, tensor: tensor.squeeze(0))
+    return _drawn(fields, view, options, screen), view
 
 
 def _fields_and_view(gaussians: Gaussians, cameras: Cameras, background: Colour) -> tuple[tuple[Tensor, ...], View]:
@@ -327,7 +359,7 @@ def _drawn(fields: tuple[Tensor, ...], view: View, options: RenderOptions, scree
     if not by_operator and not options.reads_splats and not batched and options.render_mode == "RGB":
         wanted: dict[str, Any] = {"alpha": options.alpha or options.depth, "depth": options.depth, "model": view.model}
         return Drawn._make((*draw_in_chunks(batch, view.background, cameras, *size, **wanted), *(None,) * 4))
-    if by_operator and not options.reads_splats and not batched:
+    if by_operator and not batched:
         return Drawn(*render_scene(fields, view.background, cameras, (*size, screen, view.model)))
     draw: Callable[..., tuple[Tensor, ...]]
     if by_operator:
@@ -350,11 +382,15 @@ def _asked_for(drawn: Drawn, view: View, options: RenderOptions, count: int) -> 
         depths = shown.unsqueeze(-1)
         image = torch.cat([image, depths], -1) if mode.startswith("RGB") else depths
     others: dict[str, Tensor | None] = {name: getattr(drawn, name) for name in _OTHERS[:3]}
-    if drawn.splats is not None:
-        splats = drawn.splats.view(*image.shape[:2], count, drawn.splats.shape[-1])
-        names = [name for name in _OF_SPLATS if getattr(options, name)]
-        others |= splat_numbers(splats, names, view.width, view.height)
+    if names := [name for name in _OF_SPLATS if getattr(options, name)]:
+        others |= splat_numbers(_of_cameras(drawn, view, count), names, view.width, view.height)
     return RenderedImages(image, drawn.alpha if options.alpha else None, shown, **others)
+
+
+def _of_cameras(drawn: Drawn, view: View, count: int) -> Tensor:
+    """Return the splats as [B, C, N, SPLAT_FIELDS]; count: of Gaussians."""
+    assert drawn.splats is not None
+    return drawn.splats.view(*view.background.shape[:2], count, drawn.splats.shape[-1])
 
 
 def _expected_depth(depth: Tensor, alpha: Tensor) -> Tensor:

@@ -45,6 +45,7 @@ class RenderOptions:
     tiles: bool = False
     covars: Tensor | None = None
     eps2d: float = BLUR
+    splats: bool = False  # for render_and_splats
 
     def __post_init__(self) -> None:
         """Check what needs neither Gaussians nor cameras. Raises InputError."""
@@ -115,8 +116,8 @@ class RenderOptions:
 
     @property
     def reads_splats(self) -> bool:
-        """Whether numbers of splats are asked for."""
-        return self.radii or self.means2d or self.conics or self.tiles
+        """Whether splats, or numbers of them, are asked for."""
+        return self.splats or self.radii or self.means2d or self.conics or self.tiles
 
 
 def _per_gaussian(

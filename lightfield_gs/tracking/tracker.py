@@ -16,7 +16,7 @@ from lightfield_gs.tracking.sources import EyeSource
 _LOST_S = 1.0  # without eyes, after which a line says so
 _OPENING_S = 15.0  # for a source to open
 _RATE = 60.0  # looks a second at where the eyes are
-_STEP_MM = 0.4  # of an eye, that the picture follows
+_STEPS_MM = np.array([0.4, 0.4, 3.0])  # to the right, up and away, that a picture follows: less is not seen
 
 
 class EyeTracker:
@@ -33,6 +33,7 @@ class EyeTracker:
         self._source, self._say = source, say
         half = EYE_SEPARATION_MM / 2
         self._eyes = np.array([[-half, 0, panel.viewing_distance_mm], [half, 0, panel.viewing_distance_mm]])
+        self._steady = self._eyes
         self._motion, self._lock = EyeMotion(), threading.Lock()
         self._seen: float | None = None  # when eyes were seen last
         self._is_lost = False
@@ -68,14 +69,21 @@ class EyeTracker:
             self._say("eyes: they are not seen; the picture stays for where they were")
         return self._eyes
 
+    def steady(self, ahead_s: float = 0.0) -> np.ndarray:
+        """Return what now() returns, or what was returned here before where the eyes hardly moved since."""
+        eyes = self.now(ahead_s)
+        if (np.abs(eyes - self._steady) > _STEPS_MM).any():
+            self._steady = eyes
+        return self._steady
+
     def follow(self, moved: Callable[[np.ndarray], None], ahead_s: Callable[[], float]) -> None:
         """Call `moved` with the eyes as often as they move, from a thread of its own; ahead_s: what now() takes."""
 
         def run() -> None:
-            last = np.full((2, 3), np.inf)
+            last: np.ndarray | None = None
             while not self._stop.wait(1 / _RATE):
-                eyes = self.now(ahead_s())
-                if not np.abs(eyes - last).max() < _STEP_MM:
+                eyes = self.steady(ahead_s())
+                if eyes is not last:
                     last = eyes
                     moved(eyes)
 

@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
+import numpy as np
 from torch import Tensor
 from tqdm import tqdm
 
@@ -17,6 +18,7 @@ from lightfield_gs.base.options import QualityName, StereoLayout, Views
 from lightfield_gs.encoding.classic import render_views
 from lightfield_gs.encoding.encode import encode
 from lightfield_gs.encoding.encoder import Encoder
+from lightfield_gs.encoding.eyes import EyesDrawing
 from lightfield_gs.encoding.quilt import quilt
 from lightfield_gs.encoding.stereo import join_eyes, render_eyes
 from lightfield_gs.panels.panel import Panel
@@ -139,6 +141,32 @@ class StereoRenderer:
     def __call__(self, gaussians: Gaussians, rig: Rig, number: int) -> Tensor:
         """Render both eyes on the device of the Gaussians."""
         return join_eyes(render_eyes(gaussians, self._panel, rig, **self._options.for_views()), self._layout)
+
+
+class EyesRenderer:
+    """Renders the picture of a screen for tracked eyes, uint8 [H, W, 3].
+
+    Args:
+        drawing: of the screen.
+        size_px: width and height of the screen.
+        options: of the rendering; there are no views to choose or to average.
+        eyes_mm: returns the eyes [2, 3], see encode_eyes, as they are so many seconds later.
+    """
+
+    def __init__(
+        self,
+        drawing: EyesDrawing,
+        size_px: tuple[int, int],
+        options: FrameOptions,
+        eyes_mm: Callable[[float], np.ndarray],
+    ):
+        self.size_px = size_px
+        how = dict(background=options.background, antialiased=options.antialiased, device=options.device)
+        self._draw, self._how, self._eyes_mm = drawing, how, eyes_mm
+
+    def __call__(self, gaussians: Gaussians, rig: Rig, number: int) -> Tensor:
+        """Render on the device of the Gaussians, for where the eyes are when it is finished."""
+        return self._draw(gaussians, rig, self._eyes_mm(self._draw.seconds), **self._how)
 
 
 class FrameRenderer(Protocol):

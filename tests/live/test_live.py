@@ -36,7 +36,7 @@ from lightfield_gs.live.page import PageOut
 from lightfield_gs.live.pipeline import Pipeline
 from lightfield_gs.live.reader import Reader
 from lightfield_gs.live.scenes import LiveScenes
-from lightfield_gs.live.sources import Frame
+from lightfield_gs.live.sources import FolderSource, Frame
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.show.page.server import Server
 from lightfield_gs.video.decoding import decode, timeline
@@ -102,6 +102,35 @@ def test_latency_is_what_a_clock_in_the_picture_says():
     span = health.take()
     told = median(span.latencies_s)
     assert abs(true - told) < 0.1, (true, told)
+
+
+def test_a_picture_at_rest_is_shown_and_drawn_again_where_its_state_changes(tmp_path):
+    """A folder whose newest picture stays: its owner zooms, or the eyes that it is drawn for move."""
+    Image.fromarray(clock(5)).save(tmp_path / "only.png")
+    health, state, source = Health(), [0], FolderSource(tmp_path)
+    page, reader = PageOut(PANEL, health), Reader(source, health.has_taken, print)
+    scenes = scenes_of(source, PhotoOptions(depth=FLAT), health)
+
+    def version(wanted: int) -> int:
+        until = time.monotonic() + 10
+        while page.newest()[0] < wanted and time.monotonic() < until:
+            time.sleep(0.01)
+        return page.newest()[0]
+
+    with capturable_streams():
+        reader.start()
+        scenes.settle(iter(reader.newest))
+        draw = NativeRenderer(PANEL, WHITE, False)
+        pipeline = Pipeline(reader, scenes, draw, [page], health, lambda: None, lambda: state[0])
+        pipeline.start()
+        try:
+            assert version(1) == 1 and read_clock(page.newest()[1], PANEL) == 5
+            state[0] = 1
+            assert version(2) == 2
+            time.sleep(0.2)
+            assert version(2) == 2  # once for each change
+        finally:
+            pipeline.stop()
 
 
 def test_a_clock_is_read_back_from_the_panels_picture():
@@ -253,7 +282,7 @@ def test_the_page_follows_pixel_for_pixel(tmp_path):
     try:
         size = dict(width=640, height=480, screenWidth=640, screenHeight=480)
         browser.call("Emulation.setDeviceMetricsOverride", deviceScaleFactor=1, mobile=False, **size)
-        browser.open(server.url + "/")
+        browser.open(server.url + "/panel")
         for number in (1, 2, 3):
             pixels = random.integers(0, 256, (480, 640, 3), np.uint8)
             page.put(

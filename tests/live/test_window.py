@@ -72,6 +72,13 @@ def window(screen):
     window.close()
 
 
+def test_q_ends_it(window, screen):
+    opened, _ = window
+    assert opened.handle_events(0.01)
+    screen.press("q")
+    assert any(not opened.handle_events(0.1) for _ in range(50))
+
+
 def check_pictures(window, screen, device: str) -> None:
     random = np.random.default_rng(0)
     for _ in range(3):
@@ -91,6 +98,7 @@ def test_pictures_of_cuda_pass_through_the_host_where_its_driver_refuses(window,
     """By pictures of the CPU, taken as those of CUDA: by four bytes a pixel."""
     monkeypatch.setattr(gl_picture, "cuda_driver", lambda: Driver(refuses="cuGraphicsGLRegisterBuffer"))
     monkeypatch.setattr(gl_picture, "device_guard", lambda device: nullcontext())
+    monkeypatch.setattr(torch.cuda, "synchronize", lambda device: None)
     opened, said = window
     opened._picture = GlPicture(opened._context, SIZE, torch.device("cuda"), said.append)
     assert "through the host" in said[-1] and "(cuGraphicsGLRegisterBuffer: CUDA_ERROR_SO (999))" in said[-1]

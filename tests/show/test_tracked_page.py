@@ -52,7 +52,7 @@ def test_the_panel_shows_the_scene_to_the_eyes_of_now(is_plain):
         np.testing.assert_array_equal(zoomed, draw(stage.gaussians, stage.panel, rig, face(150, 40, 700)).numpy())
         crop = np.asarray(Image.open(io.BytesIO(get(server, "/frame?show=native&width=40&height=30&x=1&y=0.5")[1])))
         assert crop.shape == (30, 40, 3)
-        assert list(exports(stage)) == ["rig.yaml"] and stage.draw_s > 0
+        assert list(exports(stage)) == ["rig.yaml"] and stage.drawing.seconds > 0
 
 
 @pytest.mark.not_sanitized

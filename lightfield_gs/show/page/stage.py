@@ -177,6 +177,8 @@ class Stage:
 
     fills_screen = False  # whether the panel's page shows the picture as large as the screen, not pixel for pixel
     is_tracked = False  # whether the picture follows the viewer's eyes
+    follow_ms: int | None = None  # time between two looks at a picture that changes by itself; None: it does not
+    has_quality = True  # whether less time for more error can be chosen
     is_for_browsers = True  # whether a browser may draw the scene by itself
 
     def __init__(self, scene: StagedScene, panel: Panel, device: str | None = None):

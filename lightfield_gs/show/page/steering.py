@@ -166,6 +166,7 @@ def _facts(stage: Stage) -> dict[str, object]:
         "device": stage.gaussians.device.type,
         "live": stage.is_live,
         "tracked": stage.is_tracked,
+        "follow_ms": stage.follow_ms,
         "film": None if film is None else {"count": film.count, "fps": film.fps},
         "panel": {**panel.to_dict(), "pitch_mm": panel.pixel_pitch_mm, "distance_mm": distance},
         "zone_mm": None if missing_geometry(panel) else 2 * stage.eye_mm(Controls(eye=0.5))[0],
@@ -173,5 +174,5 @@ def _facts(stage: Stage) -> dict[str, object]:
         "background": "#" + "".join(f"{round(255 * part):02x}" for part in stage.scene.background),
         "defaults": asdict(Controls()),
         "ranges": RANGES,
-        "qualities": QUALITY_NAMES,
+        "qualities": QUALITY_NAMES if stage.has_quality else (),
     }

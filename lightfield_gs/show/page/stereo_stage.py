@@ -22,6 +22,7 @@ class StereoStage(ScreenStage):
     """
 
     fills_screen = True
+    has_quality = False  # pictures of eyes are exact always
 
     def __init__(self, scene: StagedScene, panel: Panel, layout: StereoLayout, device: str | None = None):
         super().__init__(scene, panel, device)

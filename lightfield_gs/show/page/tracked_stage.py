@@ -7,13 +7,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from lightfield_gs.encoding.eyes import encode_eyes, render_head_coupled
+from lightfield_gs.encoding.eyes import EyesDrawing, render_head_coupled
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.show.page.screen_stage import ScreenStage
 from lightfield_gs.show.page.stage import STILL_WIDTH_PX, Controls, Picture, StagedScene, timed
-
-_NEWEST = 0.3  # weight of the newest time of drawing in their mean
 
 
 class TrackedStage(ScreenStage):
@@ -25,10 +23,12 @@ class TrackedStage(ScreenStage):
         is_plain: Whether the screen has no lenses.
 
     Attributes:
-        draw_s: How long a picture of the screen takes, on an average.
+        drawing: Draws the picture of the screen, and knows how long that takes.
     """
 
+    follow_ms = 0
     is_tracked = True
+    has_quality = False
 
     def __init__(
         self, scene: StagedScene, panel: Panel, eyes_mm: np.ndarray, is_plain: bool, device: str | None = None
@@ -36,8 +36,7 @@ class TrackedStage(ScreenStage):
         super().__init__(scene, panel, device)
         self.fills_screen = is_plain
         self.picture_words = "the screen's picture" if is_plain else "both eyes' pictures, woven"
-        self.draw_s = 0.0
-        self._is_plain, self._eyes = is_plain, eyes_mm
+        self.drawing, self._eyes = EyesDrawing(panel, is_plain), eyes_mm
 
     def look(self, eyes_mm: np.ndarray) -> None:
         """Show the scene to eyes at another place."""
@@ -63,8 +62,5 @@ class TrackedStage(ScreenStage):
 
     def _encoded(self, panel: Panel, rig: Rig, controls: Controls, stats: dict | None = None) -> np.ndarray:
         stages = {} if stats is None else stats.setdefault("stages_ms", {})
-        draw = render_head_coupled if self._is_plain else encode_eyes
         with torch.no_grad(), timed(stages, "eyes"):
-            image = draw(self.shown(controls), panel, rig, self._eyes, **self._how(controls)).cpu().numpy()
-        self.draw_s += (_NEWEST if self.draw_s else 1.0) * (stages["eyes"] / 1000 - self.draw_s)
-        return image
+            return self.drawing(self.shown(controls), rig, self._eyes, **self._how(controls)).cpu().numpy()

@@ -53,6 +53,7 @@ class GlPicture:
             try:
                 driver = cuda_driver()
                 with device_guard(device):
+                    torch.cuda.synchronize(device)  # makes CUDA's context current in this thread
                     self._on_cuda = CudaBuffer(self._buffer.glo, driver)
             except NoInterop as error:
                 self._go_through_host(error)

@@ -84,6 +84,7 @@ class NativeWindow:
         self._say(line)
         if (words := misfit(glfw.get_framebuffer_size(self._window), self._size_px)) is not None:
             self._say(words)
+        self._present()
 
     def handle_events(self, longest_s: float) -> bool:
         """Handle keys and the like, or wait for them or for `wake`; return False once the user has ended it."""
@@ -111,13 +112,17 @@ class NativeWindow:
         width, height = self._glfw.get_framebuffer_size(self._window)
         self._context.screen.use()
         self._context.viewport = 0, 0, width, height
+        self._context.clear()
         if self._picture is not None:
             self._picture.draw(height)
         self._glfw.swap_buffers(self._window)
         self._context.finish()  # else drivers would queue pictures, each of them late
 
     def _heed_key(self, window: Any, key: int, code: int, action: int, modifiers: int) -> None:
-        if action == self._glfw.PRESS and key in (self._glfw.KEY_ESCAPE, self._glfw.KEY_Q):
+        # A key has the name of its letter, and the number of its place
+        if action == self._glfw.PRESS and (
+            key == self._glfw.KEY_ESCAPE or _text(self._glfw.get_key_name(key, code)) == "q"
+        ):
             self._glfw.set_window_should_close(window, True)
 
 
@@ -153,11 +158,16 @@ def _libraries() -> tuple[ModuleType, ModuleType]:
 
 def _last_error(glfw: ModuleType) -> str:
     """Return what the library said last."""
-    words = glfw.get_error()[1]
-    return (words.decode(errors="replace") if isinstance(words, bytes) else words) or "no reason given"
+    return _text(glfw.get_error()[1]) or "no reason given"
 
 
 def _monitor(glfw: ModuleType, handle: Any) -> Monitor:
-    name, mode = glfw.get_monitor_name(handle), glfw.get_video_mode(handle)
-    words = name.decode(errors="replace") if isinstance(name, bytes) else str(name)
-    return Monitor(words, tuple(glfw.get_monitor_pos(handle)), tuple(mode.size), mode.refresh_rate)
+    mode = glfw.get_video_mode(handle)
+    return Monitor(
+        _text(glfw.get_monitor_name(handle)), tuple(glfw.get_monitor_pos(handle)), tuple(mode.size), mode.refresh_rate
+    )
+
+
+def _text(words: bytes | str | None) -> str:
+    """Return words of the library, "" for none: some versions give them as bytes."""
+    return words.decode(errors="replace") if isinstance(words, bytes) else words or ""

@@ -38,7 +38,7 @@ export function buildControls(large, small, state) {
   const [first, ...others] = rows.slice(0, kinds.large.length).map((row) => row.row);
   const colours = background(state), quality = choice(state);
   large.replaceChildren(first, ...others, colours.row);
-  small.replaceChildren(...rows.slice(kinds.large.length).map((row) => row.row), quality.row);
+  small.replaceChildren(...rows.slice(kinds.large.length).map((row) => row.row), ...(state.scene.qualities.length ? [quality.row] : []));
   return { show: () => [...rows, colours, quality].forEach((row) => row.show()) };
 }
 

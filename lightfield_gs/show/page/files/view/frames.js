@@ -106,15 +106,21 @@ export class Frames {
     }
   }
 
-  /** Draws again whenever the viewer's eyes have moved, unless the hand moves something. */
+  /** Draws again what changes by itself, unless the hand moves something: as soon as eyes have moved, or at times. */
   async follow() {
+    const { follow_ms } = this.state.scene;
     for (let version = -1; ; ) {
       try {
-        ({ version } = await (await answerOf(`panel.json?after=${version}`)).json());
+        if (follow_ms) await new Promise((done) => setTimeout(done, follow_ms));
+        else ({ version } = await (await answerOf(`panel.json?after=${version}`)).json());
         if (this.isDrawing || this.drawn !== this.moves) continue;
         const pane = this.mode === "split" ? "eye" : this.mode, began = performance.now();
         this.lay(pane, await this.draw(pane, false), false);
         this.adapt(performance.now() - began);
+        if (!follow_ms && this.rested === this.moves) { // in full again when the eyes rest
+          clearTimeout(this.restTimer);
+          this.restTimer = setTimeout(() => this.rest(), REST_MS);
+        }
       } catch {
         await new Promise((done) => setTimeout(done, 1000)); // another picture opens, or the program has ended
       }

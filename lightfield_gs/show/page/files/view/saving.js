@@ -10,6 +10,7 @@ export function buildSaving(state, told) {
   const links = exports.map((name) => element("a", { className: "button", textContent: words(name), download: "" }));
   find("#exports").replaceChildren(...links.map((link) => element("li", {}, link)));
   find("#commanding").hidden = !commands;
+  find("#saving").hidden = !commands && !exports.length;
   find("#copy").onclick = async () => {
     try {
       await navigator.clipboard.writeText(find("#command").textContent);

@@ -77,6 +77,7 @@ async function open() {
   const half = scene.zone_mm === null ? `${(panel.cone_deg / 2).toFixed(0)}°` : `${(scene.zone_mm / 20).toFixed(0)} cm`;
   find("#zone-left").textContent = `${half} left`;
   find("#look-from").hidden = scene.tracked;
+  if (scene.tracked) find("#look-with").textContent = "your head";
   find("#zone-right").textContent = `${half} right`;
   const isFirst = !frames;
   if (isFirst) begin(scene);
@@ -88,7 +89,7 @@ async function open() {
   for (const pane of Object.keys(panes)) frames.refit(pane);
   changed();
   if (isFirst) listen(state, frames, panes, told);
-  if (isFirst && scene.tracked) frames.follow();
+  if (isFirst && scene.follow_ms !== null) frames.follow();
   frames.drawHere();
   return scene;
 }
