@@ -76,13 +76,18 @@ def open_source(words: str, rate: float, is_looped: bool = False) -> Source:
     """Return the source that the command line names; nothing is read yet. Raises InputError.
 
     Args:
-        words: camera:N, camera:NAME, screen:, screen:X,Y,WxH, an address, a video, or a folder.
+        words: camera:N, camera:NAME, screen:, screen:X,Y,WxH, realsense:, orbbec:, kinect:, record3d: (each may name a
+            serial number), an address, a video, or a folder.
         rate: Pictures a second that a screen is asked for.
         is_looped: Whether a film begins again at its end.
     """
+    from lightfield_gs.live.rgbd_cameras import RGBD_KINDS, open_rgbd  # it takes Frame from here
+
     kind, _, rest = words.partition(":")
     source: Source
-    if kind == "camera":
+    if kind in RGBD_KINDS and words != kind:
+        source = open_rgbd(kind, rest)
+    elif kind == "camera":
         if not rest:
             raise InputError("camera: expected its number or a part of its name, as camera:0")
         source = DeviceSource(find_camera(rest))

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import interpolate
 
 from lightfield_gs.base.arrays import to_tensor
 from lightfield_gs.base.checks import expect, is_row, real_number, shown
@@ -22,7 +21,7 @@ from lightfield_gs.photo.depth_models.model import DepthModel, Prediction
 from lightfield_gs.photo.depth_models.open import open_model
 from lightfield_gs.photo.depth_models.weights import WrongWeights
 from lightfield_gs.photo.depth_windows import in_windows
-from lightfield_gs.photo.joint_upsampling import disparities_to_z, distances_to_z, upsample
+from lightfield_gs.photo.joint_upsampling import at_middles, disparities_to_z, distances_to_z, upsample
 from lightfield_gs.photo.steady_depth import PictureEstimate
 
 _ESTIMATED_KINDS: tuple[DepthKind, ...] = ("distance", "disparity")
@@ -182,8 +181,8 @@ def z_of_estimate(
         found = distances_to_z(1 / estimate.disparities)
     else:
         found = disparities_to_z(estimate.disparities, limits, estimate.limits)
-    if estimate.disparities.numel() >= photo.shape[0] * photo.shape[1]:  # each pixel takes the depth at its middle
-        return found.z(interpolate(found.disparities[None, None], size=photo.shape[:2], mode="nearest-exact")[0, 0])
+    if estimate.disparities.numel() >= photo.shape[0] * photo.shape[1]:
+        return found.z(at_middles(found.disparities, photo))
     return found.z(upsample(found.disparities, photo, found.value_range))
 
 
