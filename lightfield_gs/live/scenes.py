@@ -136,7 +136,9 @@ class LiveScenes:
             how = self._render, self._look, self._panel, device
             photos = self._read(frames, taken, lambda picture: read_frame(self._name, picture, photo))
             for number, each in steady_photos(photos, photo, device, ahead=0):
-                yield number, build_scene(options, each, *how, Stopwatch(0.0)).gaussians
+                with capture([]):  # what is assumed of each, as of the first
+                    scene = build_scene(options, each, *how, Stopwatch(0.0)).gaussians
+                yield number, scene
 
     def _read(
         self, frames: Iterator[Frame], taken: dict[int, Frame], make: Callable[[Picture], _T]

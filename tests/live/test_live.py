@@ -163,6 +163,7 @@ def test_a_recording_has_frames_of_video_in_their_time(film, tmp_path, capsys):
     assert found == sorted(set(found)) and 1 < len(found) <= len(every) == 12
     times = timeline(tmp_path / "live.mkv").order
     assert abs(len(times) - (found[-1] - found[0] + 1)) <= 1  # frames that were left out leave their time
+    assert said.count("whole picture, flat") == 1  # of the first, not of each
     assert "frames a second shown" in said and f"next: lightfield-gs show {tmp_path}/live.mkv" in said
 
 
