@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
 
 from lightfield_gs.app.options import AUTO, LookOptions, PhotoOptions
 from lightfield_gs.app.photo import place_photo, read_frame
-from lightfield_gs.app.photo_depth import depth_camera, steady_pictures
+from lightfield_gs.app.photo_depth import depth_camera, network_picture, steady_pictures
 from lightfield_gs.io.images import Picture
 from lightfield_gs.live.objects import to_device
 from lightfield_gs.panels.panel import Panel
@@ -48,10 +49,12 @@ class LiveDepths:
     def read(self, picture: Picture) -> Photographed:
         """Return a picture as it is read. Raises InputError."""
         pixels = picture.pixels
-        if self._photo.depth == AUTO and not self._photo.remove_background and _is_plain(pixels):
-            return Photographed(pixels, None)
-        read = read_frame(self._name, picture, self._photo)
-        return Photographed(read.photo.pixels, None if read.depth is None else read.depth.z)
+        if self._photo.remove_background or not _is_plain(pixels) or self._photo.depth != AUTO:
+            read = read_frame(self._name, picture, self._photo)
+            pixels = read.photo.pixels
+            if read.depth is not None:
+                return Photographed(pixels, z=read.depth.z)
+        return Photographed(pixels, seen=network_picture(pixels, self._photo, self._device.type))
 
     def __call__(self, pictures: Iterable[tuple[int, Photographed]]) -> Iterator[tuple[int, Gaussians]]:
         """Yield the Gaussians of numbered pictures; their count changes with the pictures' size alone."""
@@ -65,7 +68,8 @@ class LiveDepths:
         def images() -> Iterator[tuple[int, np.ndarray]]:
             for number, read in pictures:
                 pending[number] = self._image(read)
-                yield number, read.pixels
+                assert read.seen is not None
+                yield number, read.seen
 
         for number, find_z in steady_pictures(images(), self._photo, self._device.type):
             image = pending.pop(number)
@@ -87,16 +91,18 @@ class LiveDepths:
         return self._layers(image, z)
 
 
-class Photographed:
+class Photographed(NamedTuple):
     """A picture as it is read.
 
     Attributes:
         pixels: [H, W, 3 or 4], uint8, or float32 in 0..1.
-        z: [H, W], scene units; None: a network estimates it.
+        z: [H, W], scene units. None: a network estimates it.
+        seen: What that network sees, see `network_picture`.
     """
 
-    def __init__(self, pixels: np.ndarray, z: np.ndarray | None):
-        self.pixels, self.z = pixels, z
+    pixels: np.ndarray
+    z: np.ndarray | None = None
+    seen: np.ndarray | None = None
 
 
 def _is_plain(pixels: np.ndarray) -> bool:

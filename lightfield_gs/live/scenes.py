@@ -30,6 +30,7 @@ from lightfield_gs.live.depths import LiveDepths
 from lightfield_gs.live.detail import Detail
 from lightfield_gs.live.health import Health
 from lightfield_gs.live.objects import LiveObjects
+from lightfield_gs.live.slot import in_thread
 from lightfield_gs.live.sources import Frame, Source
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
@@ -43,6 +44,7 @@ from lightfield_gs.photo.stereo_pair import can_match
 from lightfield_gs.scene.gaussians import Gaussians
 
 _T = TypeVar("_T")
+_U = TypeVar("_U")
 _REMEMBERED = "behind things: what was seen there before, while the camera stands still (else: --no-remember)"
 _NOT_REMEMBERED = "behind things: smooth colours of what is beside them (--remember keeps what was seen there)"
 _PATIENCE_S = 3.0  # with pictures of which no scene can be made, at the beginning: cameras begin dark
@@ -118,16 +120,25 @@ class LiveScenes:
         """
         taken: dict[int, Frame] = {}
         with self._stream() as finish:
-            for number, scene in self._made(frames, taken):
+            made = self._made(frames, taken)
+            while (item := self._silently(made)) is not None:
                 finish()
                 self._health.end(self.stage)
-                yield taken.pop(number), scene
+                yield taken.pop(item[0]), item[1]
+
+    @staticmethod
+    def _silently(items: Iterator[_T]) -> _T | None:
+        """Return the next item without what its making says: the first picture has said it. None: there is none."""
+        with capture([]):
+            return next(items, None)
 
     def _made(self, frames: Iterator[Frame], taken: dict[int, Frame]) -> Iterator[tuple[int, Gaussians]]:
         """Yield numbers and scenes; taken: where the frames are put by their numbers."""
         photo, device = self._photo, self._device
         if not self._is_whole:
-            yield from self._read(frames, taken, LiveObjects(self._name, photo, self._panel, device))
+            objects = LiveObjects(self._name, photo, self._panel, device)
+            for number, cut in self._read(frames, taken, objects.read):
+                yield number, objects(cut)
         elif photo.is_estimated or photo.rgbd is not None:
             depths = LiveDepths(self._name, photo, self._look, self._panel, device, self._memory)
             yield from depths(self._read(frames, taken, depths.read))
@@ -141,21 +152,39 @@ class LiveScenes:
                 yield number, scene
 
     def _read(
-        self, frames: Iterator[Frame], taken: dict[int, Frame], make: Callable[[Picture], _T]
+        self, frames: Iterator[Frame], taken: dict[int, Frame], read: Callable[[Picture], _T]
     ) -> Iterator[tuple[int, _T]]:
-        """Yield numbers of pictures and what is made of them; count the pictures of which nothing can be made."""
-        for frame in frames:
+        """Yield numbers of pictures and what is read of them; count the pictures of which nothing can be made.
+
+        On CUDA the host's work has threads of its own. A CPU has no time to read what may be dropped.
+        """
+        if self._device == "cuda":
+            pictures = in_thread("picture", self._each("picture", ((frame, frame) for frame in frames), self._picture))
+            items = in_thread("read", self._each("reading", pictures, read))
+        else:
+            pictures = self._each(self.stage, ((frame, frame) for frame in frames), self._picture)
+            items = self._each(self.stage, pictures, read)
+        for frame, value in items:
             self._health.begin(self.stage)
+            taken[frame.number] = frame
+            yield frame.number, value
+
+    def _each(
+        self, stage: str, items: Iterator[tuple[Frame, _U]], make: Callable[[_U], _T]
+    ) -> Iterator[tuple[Frame, _T]]:
+        """Yield what is made of items; the time counts for a stage."""
+        for frame, item in items:
+            self._health.begin(stage)
             try:
-                with capture([]):
-                    made = make(self._picture(frame))
+                made = make(item)
             except InputError as error:
                 reason = error.reason if isinstance(error, NoCutOut) else str(error)
                 self._health.could_not_use(self._renamed(reason, self._name))
-                self._health.end(self.stage)
+                self._health.end(stage)
                 continue
-            taken[frame.number] = frame
-            yield frame.number, made
+            if stage != self.stage:  # else it goes on
+                self._health.end(stage)
+            yield frame, made
 
     @contextmanager
     def _stream(self) -> Iterator[Callable[[], None]]:
@@ -210,6 +239,8 @@ class LiveScenes:
             focal, centre, _, _ = depth_camera(self._photo, height, width, None)
             focal, _ = known_camera(focal, centre, height, width)
             self.detail.limit(rig.focal_px[0] / focal[0] * view_fraction(self._panel))
+        if not self._is_whole and self._device == "cuda":
+            self.detail.take_whole()
         self.messages = [self._renamed(line, path) for line in [*lines, *messages, *first.messages, *how]]
         return first.gaussians
 

@@ -145,7 +145,7 @@ class _Decoded:
                 clock.wait(frame.time, stop)
             if stop.is_set():
                 return
-            yield Frame(self._count, time.monotonic(), partial(_picture, frame, kind, crop))
+            yield Frame(self._count, time.monotonic(), partial(decoded_picture, frame, kind, crop))
             self._count += 1
 
 
@@ -160,7 +160,8 @@ def _patient(container: Any, stream: Any, stop: threading.Event) -> Iterator[Any
             time.sleep(0.002)
 
 
-def _picture(frame: Any, kind: PixelKind, crop: tuple[int, int, int, int] | None, scaling: Scaling) -> Picture:
+def decoded_picture(frame: Any, kind: PixelKind, crop: tuple[int, int, int, int] | None, scaling: Scaling) -> Picture:
+    """Return the picture of a frame of PyAV; crop: see Device."""
     if crop is None:
         return Picture(frame_pixels(frame, kind, scaling=scaling))
     left, top, width, height = crop
