@@ -15,8 +15,8 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.live import rgbd_cameras
 from lightfield_gs.live.detail import Detail
 from lightfield_gs.live.health import Health
+from lightfield_gs.live.opening import open_source
 from lightfield_gs.live.scenes import LiveScenes
-from lightfield_gs.live.sources import open_source
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.video.decoding import Scaling
 
