@@ -72,29 +72,36 @@ def steady_estimates(
     return steadied(estimates, is_metric(model, on, options.depth_kind), ahead=ahead)
 
 
+def network_picture(pixels: np.ndarray, options: PhotoOptions, device: str) -> np.ndarray:
+    """Return a picture as the network of --depth auto sees it, for `steady_pictures`. Raises InputError."""
+    from lightfield_gs.photo.depth_network import shrink_picture
+
+    return shrink_picture(pixels, options.depth_network, _network_device(device), options.depth_kind)
+
+
 def steady_pictures(
-    images: Iterable[tuple[int, np.ndarray]], options: PhotoOptions, device: str
+    pictures: Iterable[tuple[int, np.ndarray]], options: PhotoOptions, device: str
 ) -> Iterator[tuple[int, Callable[[Tensor], Tensor]]]:
     """Yield for pictures in a row what gives their z, each averaged with those before it; none waits for the next.
 
     Args:
-        images: Their numbers, and they, as of depth_from_network.
+        pictures: Their numbers, and they, of `network_picture`.
         options: Of all of them.
         device: Where the network works.
 
     Yields:
-        The number, and a function from the picture, [H, W, 3] in 0..1 on the device, to z [H, W].
+        The number, and a function from the whole picture, [H, W, 3] in 0..1 on the device, to z [H, W].
 
     Raises:
         InputError: As `steady_estimates`.
     """
-    from lightfield_gs.photo.depth_network import estimate_pictures, is_metric, refuse_windows, z_of_estimate
+    from lightfield_gs.photo.depth_network import estimate_shrunk, is_metric, refuse_windows, z_of_estimate
     from lightfield_gs.photo.steady_depth import steadied
 
     model, on, kind = options.depth_network, _network_device(device), options.depth_kind
     refuse_windows(model, on, kind)
     has_distances = is_metric(model, on, kind)
-    for number, estimate in steadied(estimate_pictures(images, model, on, kind=kind), has_distances, ahead=0):
+    for number, estimate in steadied(estimate_shrunk(pictures, model, on, kind=kind), has_distances, ahead=0):
         yield number, partial(z_of_estimate, estimate, has_distances, options.depth_range)
 
 

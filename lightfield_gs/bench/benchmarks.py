@@ -18,6 +18,7 @@ BENCHMARKS = {
     "pareto": "run time against error over the settings of quality",
     "skips": "the time that each skip of unneeded work saves",
     "video": "frames a second of a turntable, with and without writing them",
+    "live": "frames a second, latency and stages of `live`, of a made clip",
     "dense": "forward and backward of one camera before many Gaussians",
     "webgpu": "frames by WebGPU, tiling by tiling and stage by stage, beside CUDA or the CPU",
     "eyes": "the error of eyes across the cone, with and without --view-filter",

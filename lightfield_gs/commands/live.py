@@ -27,10 +27,10 @@ from lightfield_gs.encoding.eyes import EyesDrawing
 from lightfield_gs.io.atomic import check_outputs
 from lightfield_gs.live.detail import Detail
 from lightfield_gs.live.health import Health
+from lightfield_gs.live.opening import open_source
 from lightfield_gs.live.pipeline import Pipeline
 from lightfield_gs.live.reader import Reader
 from lightfield_gs.live.scenes import LiveScenes
-from lightfield_gs.live.sources import open_source
 from lightfield_gs.live.steering import LiveStage, SteeredRenderer
 from lightfield_gs.photo.side_by_side import is_rgbd_name
 from lightfield_gs.show.page.stage import StagedScene

@@ -198,7 +198,7 @@ class WaysOut:
         opened = webbrowser.open if browser is None else browser.open
 
         def run(start: Callable[[Callable[[], None]], None]) -> None:
-            say("the address without its end, panel, has depth, focus, size and more for the pictures that follow")
+            say("depth, focus, size and more are steered at the address below without its end, panel")
             serve(serving, {**self._owners, **page.routes()}, "/panel", opened, start)
 
         return run

@@ -85,6 +85,7 @@ def render_cameras(
         check_values(gaussians)  # on CUDA looking at values would wait for the device
     colour = background_tensor(background, gaussians.means)
     if device is not None:
+        expect("device", device, str)
         check_on_cpu(device, gaussians)
         gaussians = gaussians.to(dtype=torch.float32)
         return draw_views(device, gaussians, cameras, colour.reshape(-1).float(), antialiased, aperture)

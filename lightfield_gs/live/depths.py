@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
 
 from lightfield_gs.app.options import AUTO, LookOptions, PhotoOptions
 from lightfield_gs.app.photo import place_photo, read_frame
-from lightfield_gs.app.photo_depth import depth_camera, steady_pictures
+from lightfield_gs.app.photo_depth import depth_camera, network_picture, steady_pictures
 from lightfield_gs.io.images import Picture
 from lightfield_gs.live.objects import to_device
+from lightfield_gs.live.rgbd_cameras import RgbdPicture
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.photo.background_memory import BackgroundMemory
+from lightfield_gs.photo.joint_upsampling import measured_to_photo
 from lightfield_gs.photo.quick_layers import QuickLayers
 from lightfield_gs.photo.rgbd import known_camera
 from lightfield_gs.scene.gaussians import Gaussians
+
+Camera = tuple[tuple[float, float], tuple[float, float]]  # focal lengths and principal point, pixels
 
 
 class LiveDepths:
@@ -30,6 +35,7 @@ class LiveDepths:
         panel: The panel.
         device: "cpu" or "cuda".
         memory: What was seen before behind what is in front. None: nothing is remembered.
+        is_measured: Whether the camera's own depths are taken.
     """
 
     def __init__(
@@ -40,32 +46,41 @@ class LiveDepths:
         panel: Panel,
         device: str,
         memory: BackgroundMemory | None,
+        is_measured: bool,
     ):
         self._name, self._photo, self._look, self._panel = name, photo, look, panel
-        self._device, self._memory = torch.device(device), memory
+        self._device, self._memory, self._is_measured = torch.device(device), memory, is_measured
         self._size: tuple[int, int] | None = None
 
     def read(self, picture: Picture) -> Photographed:
         """Return a picture as it is read. Raises InputError."""
         pixels = picture.pixels
-        if self._photo.depth == AUTO and not self._photo.remove_background and _is_plain(pixels):
-            return Photographed(pixels, None)
-        read = read_frame(self._name, picture, self._photo)
-        return Photographed(read.photo.pixels, None if read.depth is None else read.depth.z)
+        if isinstance(picture, RgbdPicture) and picture.z is not None and self._is_measured:
+            return Photographed(pixels, picture.z, camera=(picture.focal_px, picture.centre_px))
+        if self._photo.remove_background or not _is_plain(pixels) or self._photo.depth != AUTO:
+            read = read_frame(self._name, picture, self._photo)
+            pixels = read.photo.pixels
+            if read.depth is not None:
+                return Photographed(pixels, z=read.depth.z)
+        return Photographed(pixels, seen=network_picture(pixels, self._photo, self._device.type))
 
     def __call__(self, pictures: Iterable[tuple[int, Photographed]]) -> Iterator[tuple[int, Gaussians]]:
         """Yield the Gaussians of numbered pictures; their count changes with the pictures' size alone."""
-        if self._photo.depth != AUTO:
+        if self._is_measured or self._photo.depth != AUTO:
             for number, read in pictures:
                 assert read.z is not None
-                yield number, self._scene(self._image(read), torch.from_numpy(read.z).to(self._device))
+                image, z = self._image(read), torch.from_numpy(read.z).to(self._device)
+                if z.shape != image.shape[:2]:
+                    z = measured_to_photo(z, image[..., :3])
+                yield number, self._scene(image, z, read.camera)
             return
         pending: dict[int, torch.Tensor] = {}
 
         def images() -> Iterator[tuple[int, np.ndarray]]:
             for number, read in pictures:
                 pending[number] = self._image(read)
-                yield number, read.pixels
+                assert read.seen is not None
+                yield number, read.seen
 
         for number, find_z in steady_pictures(images(), self._photo, self._device.type):
             image = pending.pop(number)
@@ -75,11 +90,10 @@ class LiveDepths:
         values = to_device(read.pixels, self._device)
         return values / 255 if values.dtype == torch.uint8 else values
 
-    def _scene(self, image: torch.Tensor, z: torch.Tensor) -> Gaussians:
+    def _scene(self, image: torch.Tensor, z: torch.Tensor, camera: Camera | None = None) -> Gaussians:
         height, width = z.shape
         if self._size != (height, width):
-            focal, centre, _, _ = depth_camera(self._photo, height, width, None)
-            known = known_camera(focal, centre, height, width)
+            known = camera or settled_camera(self._photo, height, width)
             placed, _ = place_photo(self._photo, self._panel, self._look, _with_alpha(image), z, *known)
             margin = (0, 0, 0, 0) if placed is None else placed.margin_px
             self._size = height, width
@@ -87,16 +101,26 @@ class LiveDepths:
         return self._layers(image, z)
 
 
-class Photographed:
+class Photographed(NamedTuple):
     """A picture as it is read.
 
     Attributes:
         pixels: [H, W, 3 or 4], uint8, or float32 in 0..1.
-        z: [H, W], scene units; None: a network estimates it.
+        z: [H, W], scene units. None: a network estimates it.
+        seen: What that network sees, see `network_picture`.
+        camera: Focal lengths and principal point, pixels. None: those of the options.
     """
 
-    def __init__(self, pixels: np.ndarray, z: np.ndarray | None):
-        self.pixels, self.z = pixels, z
+    pixels: np.ndarray
+    z: np.ndarray | None = None
+    seen: np.ndarray | None = None
+    camera: Camera | None = None
+
+
+def settled_camera(photo: PhotoOptions, height: int, width: int) -> Camera:
+    """Return the focal lengths and the principal point of pictures of a size, by the options."""
+    focal, centre, _, _ = depth_camera(photo, height, width, None)
+    return known_camera(focal, centre, height, width)
 
 
 def _is_plain(pixels: np.ndarray) -> bool:

@@ -9,6 +9,7 @@ from lightfield_gs.live.health import Span
 from lightfield_gs.video.decoding import Scaling
 
 MOST_PIXELS = 1_500_000  # as of a photo: a view of a panel has fewer
+_WHOLE_PIXELS = 1920 * 1088  # of pictures of which an object on a GPU is cut out
 LEAST_PIXELS = 320 * 180  # less is a blur on any panel
 _SLOW = 1.1  # of the time for a frame, from which on a stage is too slow
 _HELPS = 0.9  # of the time before, above which smaller pictures were of no use
@@ -44,6 +45,11 @@ class Detail:
         """Note that a picture holds two side by side; is_nearest: that one has depths, see Scaling."""
         self._least = 2 * LEAST_PIXELS
         self.scaling = replace(self.scaling, is_nearest=is_nearest)
+
+    def take_whole(self) -> None:
+        """Take more pixels, unless a number was given: a decoder gives pictures as they are in a tenth of the time."""
+        if not self._is_fixed:
+            self.scaling = replace(self.scaling, most_pixels=_WHOLE_PIXELS)
 
     def limit(self, resolved: float) -> None:
         """Take no more pixels than the panel shows, unless a number was given.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.photo.detail_level import detail_level
 from lightfield_gs.photo.encoder import PhotoGraphs, quick_copy
 from lightfield_gs.photo.load import cut_out_photo
-from lightfield_gs.photo.quick_cut import cut_along, find_outline
+from lightfield_gs.photo.quick_cut import Outline, cut_along, find_outline
 from lightfield_gs.scene.gaussians import Gaussians, from_tensors
 
 
@@ -41,10 +42,20 @@ class LiveObjects:
                 self._net = quick_copy(self._net)
         self._graphs: PhotoGraphs | None = None
 
-    def __call__(self, picture: Picture) -> Gaussians:
-        """Return the Gaussians; on CUDA their number is always the same. Raises InputError where there is no object."""
-        rgba = self._cut(picture)
-        level = self._level(max(picture.pixels.shape[:2]))
+    def read(self, picture: Picture) -> Found:
+        """Find the object in a picture, on the host. Raises InputError where there is none."""
+        pixels, photo = picture.pixels, self._photo
+        is_plain = pixels.dtype == np.uint8 and pixels.shape[2] == 3 and photo.clean_edges is not False
+        if is_plain and not photo.remove_background:
+            return Found(pixels, find_outline(pixels, str(self._name)))
+        clean = photo.clean_edges is not False
+        cut = cut_out_photo(self._name, picture, remove_background=photo.remove_background, clean_edges=clean)
+        return Found(cut.pixels, None)
+
+    def __call__(self, found: Found) -> Gaussians:
+        """Return the Gaussians; on CUDA their number is always the same."""
+        rgba = self._cut(found)
+        level = self._level(max(found.pixels.shape[:2]))
         if self._device.type == "cpu":
             return self._net.predict(rgba, level)
         graphs = self._graphs
@@ -52,25 +63,31 @@ class LiveObjects:
             self._graphs = graphs = PhotoGraphs(self._net, rgba, level)
         graphs.crop(rgba)
         graphs.network.replay()
-        graphs.check()
         return from_tensors(field.clone() for field in graphs.gaussians.fields().values())
 
     def _level(self, photo_px: int) -> DetailLevel | None:
         detail, budget = network_detail(self._photo)
         return detail_level(detail, self._net.config, photo_px, self._panel, budget)
 
-    def _cut(self, picture: Picture) -> Tensor:
+    def _cut(self, found: Found) -> Tensor:
         """Return the picture as RGBA, where the network is; on the CPU the part with the object alone."""
-        pixels, photo = picture.pixels, self._photo
-        is_plain = pixels.dtype == np.uint8 and pixels.shape[2] == 3 and photo.clean_edges is not False
-        if not is_plain or photo.remove_background:
-            clean = photo.clean_edges is not False
-            cut = cut_out_photo(self._name, picture, remove_background=photo.remove_background, clean_edges=clean)
-            return torch.from_numpy(cut.pixels)
-        outline = find_outline(pixels, str(self._name))
-        if self._device.type == "cpu":
-            return cut_along(torch.from_numpy(pixels), outline, outline.box(pixels.shape[0], pixels.shape[1]))
-        return cut_along(to_device(pixels, self._device), outline.to(self._device))
+        outline, pixels = found.outline, to_device(found.pixels, self._device)
+        if outline is None:
+            return pixels
+        box = outline.box(pixels.shape[0], pixels.shape[1]) if self._device.type == "cpu" else None
+        return cut_along(pixels, outline.to(self._device), box)
+
+
+class Found(NamedTuple):
+    """An object in a picture.
+
+    Attributes:
+        pixels: [H, W, 3], or [H, W, 4] where it is cut out.
+        outline: Where it is not: by what.
+    """
+
+    pixels: np.ndarray
+    outline: Outline | None
 
 
 def to_device(pixels: np.ndarray, device: torch.device) -> Tensor:

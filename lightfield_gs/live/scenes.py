@@ -16,7 +16,6 @@ import torch
 from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import AUTO, FLAT, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.photo import ReadPhoto, read_frame
-from lightfield_gs.app.photo_depth import depth_camera
 from lightfield_gs.app.photo_pair import has_other_way
 from lightfield_gs.app.scene import build_scene, check_scene_options, frame_scene, read_source
 from lightfield_gs.app.steady_photos import steady_photos
@@ -26,25 +25,28 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import StereoInput
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.images import Picture, write_image
-from lightfield_gs.live.depths import LiveDepths
+from lightfield_gs.live.depths import LiveDepths, settled_camera
 from lightfield_gs.live.detail import Detail
 from lightfield_gs.live.health import Health
 from lightfield_gs.live.objects import LiveObjects
+from lightfield_gs.live.rgbd_cameras import RgbdPicture
+from lightfield_gs.live.slot import in_thread
 from lightfield_gs.live.sources import Frame, Source
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.background_memory import BackgroundMemory
 from lightfield_gs.photo.cut_out import NoCutOut
 from lightfield_gs.photo.detail_level import view_fraction
-from lightfield_gs.photo.rgbd import known_camera
 from lightfield_gs.photo.side_by_side import depth_side, is_rgbd_name
 from lightfield_gs.photo.stereo_matching import PairMismatch
 from lightfield_gs.photo.stereo_pair import can_match
 from lightfield_gs.scene.gaussians import Gaussians
 
 _T = TypeVar("_T")
+_U = TypeVar("_U")
 _REMEMBERED = "behind things: what was seen there before, while the camera stands still (else: --no-remember)"
 _NOT_REMEMBERED = "behind things: smooth colours of what is beside them (--remember keeps what was seen there)"
+_MEASURED = "measured.npy"  # the depths of a camera in a file, for its first picture
 _PATIENCE_S = 3.0  # with pictures of which no scene can be made, at the beginning: cameras begin dark
 
 
@@ -91,12 +93,18 @@ class LiveScenes:
         self._panel, self._device, self.detail, self._health = panel, device, detail, health
         self._name = Path(source.name)
         self._memory = BackgroundMemory() if remembers else None
+        self._is_measured = False
         self.messages: list[str] = []
 
     @property
     def stage(self) -> str:
         """The name of what is done here: an object's network, or depth."""
         return "depth" if self._is_whole else "network"
+
+    @property
+    def _has_layers(self) -> bool:
+        """Whether scenes are of two layers: of depths that are estimated, in a half of the picture, or measured."""
+        return self._photo.is_estimated or self._photo.rgbd is not None or self._is_measured
 
     def settle(self, frames: Iterator[Frame]) -> None:
         """Settle by the first picture of which a scene can be made. Raises InputError where none comes in time."""
@@ -118,42 +126,70 @@ class LiveScenes:
         """
         taken: dict[int, Frame] = {}
         with self._stream() as finish:
-            for number, scene in self._made(frames, taken):
+            made = self._made(frames, taken)
+            while (item := self._silently(made)) is not None:
                 finish()
                 self._health.end(self.stage)
-                yield taken.pop(number), scene
+                yield taken.pop(item[0]), item[1]
+
+    @staticmethod
+    def _silently(items: Iterator[_T]) -> _T | None:
+        """Return the next item without what its making says: the first picture has said it. None: there is none."""
+        with capture([]):
+            return next(items, None)
 
     def _made(self, frames: Iterator[Frame], taken: dict[int, Frame]) -> Iterator[tuple[int, Gaussians]]:
         """Yield numbers and scenes; taken: where the frames are put by their numbers."""
         photo, device = self._photo, self._device
         if not self._is_whole:
-            yield from self._read(frames, taken, LiveObjects(self._name, photo, self._panel, device))
-        elif photo.is_estimated or photo.rgbd is not None:
-            depths = LiveDepths(self._name, photo, self._look, self._panel, device, self._memory)
+            objects = LiveObjects(self._name, photo, self._panel, device)
+            for number, cut in self._read(frames, taken, objects.read):
+                yield number, objects(cut)
+        elif self._has_layers:
+            how = self._name, photo, self._look, self._panel, device, self._memory
+            depths = LiveDepths(*how, self._is_measured)
             yield from depths(self._read(frames, taken, depths.read))
         else:
             options = SceneOptions(self._name, photo=photo)
-            how = self._render, self._look, self._panel, device
+            into = self._render, self._look, self._panel, device
             photos = self._read(frames, taken, lambda picture: read_frame(self._name, picture, photo))
             for number, each in steady_photos(photos, photo, device, ahead=0):
-                yield number, build_scene(options, each, *how, Stopwatch(0.0)).gaussians
+                yield number, build_scene(options, each, *into, Stopwatch(0.0)).gaussians
 
     def _read(
-        self, frames: Iterator[Frame], taken: dict[int, Frame], make: Callable[[Picture], _T]
+        self, frames: Iterator[Frame], taken: dict[int, Frame], read: Callable[[Picture], _T]
     ) -> Iterator[tuple[int, _T]]:
-        """Yield numbers of pictures and what is made of them; count the pictures of which nothing can be made."""
-        for frame in frames:
+        """Yield numbers of pictures and what is read of them; count the pictures of which nothing can be made.
+
+        On CUDA the host's work has threads of its own. A CPU has no time to read what may be dropped.
+        """
+        if self._device == "cuda":
+            pictures = in_thread("picture", self._each("picture", ((frame, frame) for frame in frames), self._picture))
+            items = in_thread("read", self._each("reading", pictures, read))
+        else:
+            pictures = self._each(self.stage, ((frame, frame) for frame in frames), self._picture)
+            items = self._each(self.stage, pictures, read)
+        for frame, value in items:
             self._health.begin(self.stage)
+            taken[frame.number] = frame
+            yield frame.number, value
+
+    def _each(
+        self, stage: str, items: Iterator[tuple[Frame, _U]], make: Callable[[_U], _T]
+    ) -> Iterator[tuple[Frame, _T]]:
+        """Yield what is made of items; the time counts for a stage."""
+        for frame, item in items:
+            self._health.begin(stage)
             try:
-                with capture([]):
-                    made = make(self._picture(frame))
+                made = make(item)
             except InputError as error:
                 reason = error.reason if isinstance(error, NoCutOut) else str(error)
                 self._health.could_not_use(self._renamed(reason, self._name))
-                self._health.end(self.stage)
+                self._health.end(stage)
                 continue
-            taken[frame.number] = frame
-            yield frame.number, made
+            if stage != self.stage:  # else it goes on
+                self._health.end(stage)
+            yield frame, made
 
     @contextmanager
     def _stream(self) -> Iterator[Callable[[], None]]:
@@ -202,18 +238,24 @@ class LiveScenes:
         self._render = replace(self._render, background=first.render.background)
         self._photo = photo if photo.stereo_in else replace(photo, stereo_in="none")
         how.append("framing: all pictures as the first")
-        if self._is_whole and (self._photo.is_estimated or self._photo.rgbd is not None):
+        if self._is_whole and self._has_layers:
             how.append(_REMEMBERED if self._memory is not None else _NOT_REMEMBERED)
-            height, width = read.photo.size
-            focal, centre, _, _ = depth_camera(self._photo, height, width, None)
-            focal, _ = known_camera(focal, centre, height, width)
+            focal, _ = settled_camera(self._photo, *read.photo.size)
             self.detail.limit(rig.focal_px[0] / focal[0] * view_fraction(self._panel))
+        if not self._is_whole and self._device == "cuda":
+            self.detail.take_whole()
         self.messages = [self._renamed(line, path) for line in [*lines, *messages, *first.messages, *how]]
         return first.gaussians
 
     def _kind_of(self, path: Path, picture: Picture) -> tuple[PhotoOptions, list[str]]:
         """Return the options with what a picture in a file is: a pair, or a photo with its depth map beside it."""
         photo, pair = replace(self._photo, is_in_row=True, is_smooth=True), self._source.pair
+        if isinstance(picture, RgbdPicture) and picture.z is not None and not has_other_way(photo):
+            self._is_measured = True
+            depth = path.with_name(_MEASURED)
+            np.save(depth, picture.z)
+            camera = *picture.focal_px, *picture.centre_px
+            return replace(photo, depth=depth, depth_kind="distance", intrinsics=camera), []
         if photo.depth is None and photo.rgbd is None and is_rgbd_name(path):
             side = depth_side(picture.pixels, is_named=True)
             if side is not None:
@@ -242,4 +284,5 @@ class LiveScenes:
             raise InputError(self._renamed(str(error), path)) from None
 
     def _renamed(self, words: str, path: Path) -> str:
+        words = words.replace(f"depth by {_MEASURED}", "depth by the camera")
         return words.replace(f"{path}: ", "").replace(str(path), self._source.name)

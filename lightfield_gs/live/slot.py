@@ -6,6 +6,10 @@ import threading
 from collections.abc import Iterator
 from typing import Generic, TypeVar
 
+import torch
+
+from lightfield_gs.base.cli_messages import capture
+
 _T = TypeVar("_T")
 _LONGEST_WAIT_S = 0.5  # after which Ctrl-C is heeded on any system
 
@@ -51,3 +55,29 @@ class Slot(Generic[_T]):
             if is_over:
                 return
             yield item
+
+
+def in_thread(name: str, items: Iterator[_T]) -> Iterator[_T]:
+    """Yield items, which a thread of their own makes meanwhile; of those that are not taken, the newest alone.
+
+    Args:
+        name: Of the thread.
+        items: They end when their own source does. What they say is not printed; what they raise is raised here.
+    """
+    slot: Slot[_T] = Slot()
+    failed: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            with torch.inference_mode(), capture([]):
+                for item in items:
+                    slot.put(item)
+        except BaseException as error:  # a thread would swallow it
+            failed.append(error)
+        finally:
+            slot.close()
+
+    threading.Thread(target=run, name=name, daemon=True).start()
+    yield from slot
+    if failed:
+        raise failed[0]

@@ -16,11 +16,9 @@ import numpy as np
 import torch
 
 from lightfield_gs.base.errors import InputError
-from lightfield_gs.io.atomic import checked_path
-from lightfield_gs.io.file_kinds import VIDEO_INPUTS
 from lightfield_gs.io.images import Picture, read_picture
 from lightfield_gs.io.stereo_names import PairLayout
-from lightfield_gs.live.cameras import Device, find_camera, find_screen
+from lightfield_gs.live.cameras import Device
 from lightfield_gs.video.decoding import (
     PixelKind,
     Scaling,
@@ -33,7 +31,6 @@ from lightfield_gs.video.decoding import (
 )
 from lightfield_gs.video.sequence import PICTURES
 
-_STREAM = re.compile(r"(?i)(rtsps?|rtmps?|https?|udp|srt|tcp)://")
 _TIMEOUTS_S = 10.0, 5.0  # to open a stream, and to read from it
 _LATE_S = 0.5  # behind its time from which on a film goes on from where it is
 _POLL_S = 0.03  # between two looks into a folder
@@ -70,40 +67,6 @@ class Source(Protocol):
 
     def frames(self, stop: threading.Event) -> Iterator[Frame]:
         """Open it, and yield its pictures as they come, until stop is set. Raises InputError where it fails."""
-
-
-def open_source(words: str, rate: float, is_looped: bool = False) -> Source:
-    """Return the source that the command line names; nothing is read yet. Raises InputError.
-
-    Args:
-        words: camera:N, camera:NAME, screen:, screen:X,Y,WxH, an address, a video, or a folder.
-        rate: Pictures a second that a screen is asked for.
-        is_looped: Whether a film begins again at its end.
-    """
-    kind, _, rest = words.partition(":")
-    source: Source
-    if kind == "camera":
-        if not rest:
-            raise InputError("camera: expected its number or a part of its name, as camera:0")
-        source = DeviceSource(find_camera(rest))
-    elif kind == "screen" and words != "screen":
-        source = DeviceSource(find_screen(rest, rate))
-    elif _STREAM.match(words):
-        source = StreamSource(words)
-    else:
-        path = checked_path(words)
-        if path.is_dir():
-            source = FolderSource(path)
-        elif path.suffix.lower() in VIDEO_INPUTS or path.is_file():
-            return FilmSource(path, is_looped)
-        else:
-            raise InputError(
-                f"{words}: there is no such file; expected a video, a folder, camera:N, screen:, or an address as "
-                "rtsp://..."
-            )
-    if is_looped:
-        raise InputError(f"--loop is of a video, and {words} is none; leave it out")
-    return source
 
 
 class _Clock:
@@ -145,7 +108,7 @@ class _Decoded:
                 clock.wait(frame.time, stop)
             if stop.is_set():
                 return
-            yield Frame(self._count, time.monotonic(), partial(_picture, frame, kind, crop))
+            yield Frame(self._count, time.monotonic(), partial(decoded_picture, frame, kind, crop))
             self._count += 1
 
 
@@ -160,7 +123,8 @@ def _patient(container: Any, stream: Any, stop: threading.Event) -> Iterator[Any
             time.sleep(0.002)
 
 
-def _picture(frame: Any, kind: PixelKind, crop: tuple[int, int, int, int] | None, scaling: Scaling) -> Picture:
+def decoded_picture(frame: Any, kind: PixelKind, crop: tuple[int, int, int, int] | None, scaling: Scaling) -> Picture:
+    """Return the picture of a frame of PyAV; crop: see Device."""
     if crop is None:
         return Picture(frame_pixels(frame, kind, scaling=scaling))
     left, top, width, height = crop

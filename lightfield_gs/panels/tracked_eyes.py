@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from lightfield_gs.base.checks import expect, shown
+from lightfield_gs.base.checks import expect, is_row, shown
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
@@ -95,7 +95,7 @@ def eye_cameras(panel: Panel, rig: Rig, eyes_mm: Eyes) -> Cameras:
     distance = panel.viewing_distance_mm
     if distance is None:
         raise InputError(f"panel {panel.name} lacks viewing_distance_mm; eyes cannot be placed without")
-    eyes = np.array([checked_eye(eye) for eye in eyes_mm])
+    eyes = np.array(_checked(eyes_mm))
     amount = rig.half_width(panel) / (rig.zero_depth * math.tan(math.radians(panel.cone_deg) / 2))
     centres = rig.zero_depth / distance * eyes * (amount, -amount, -1) + (0, 0, rig.zero_depth)
     poses = np.repeat(rig.world_to_camera[None], len(eyes), 0)
@@ -109,11 +109,18 @@ def eye_cameras(panel: Panel, rig: Rig, eyes_mm: Eyes) -> Cameras:
 def _paths(panel: Panel, eyes_mm: Eyes) -> tuple[EyePath, EyePath]:
     """Return the paths of the left and the right eye. Raises InputError."""
     check_geometry(panel)
-    if len(eyes_mm) != 2:
-        raise InputError(f"eyes: expected the positions of the left and the right eye, got {shown(eyes_mm)}")
     lens = panel.line_number, panel.slant_tan, panel.phase, math.tan(math.radians(panel.cone_deg) / 2)
-    left, right = (eye_path(panel, checked_eye(eye), *lens) for eye in eyes_mm)
+    left, right = (eye_path(panel, eye, *lens) for eye in _checked(eyes_mm, 2))
     return left, right
+
+
+def _checked(eyes_mm: Eyes, count: int | None = None) -> list[tuple[float, float, float]]:
+    """Return the positions of eyes; count: of how many. Raises InputError."""
+    rows = eyes_mm.tolist() if isinstance(eyes_mm, np.ndarray) else eyes_mm
+    if not is_row(rows, count):
+        whose = "the left and the right eye" if count == 2 else "eyes"
+        raise InputError(f"eyes_mm: expected the positions of {whose}, x, y, z each, got {shown(eyes_mm)}")
+    return [checked_eye(eye) for eye in rows]
 
 
 def _apart(panel: Panel, left: EyePath, right: EyePath) -> float:

@@ -105,7 +105,7 @@ def has_moved(before: Tensor, after: Tensor) -> bool:
     padded = pad(before[None], (across, across, down, down), value=torch.nan)[0]
     windows = padded.unfold(0, before.shape[0], 1).unfold(1, before.shape[1], 1)
     costs = (windows - after).abs().clamp(max=_C.most).nanmean((2, 3))
-    still, best, usual = float(costs[down, across]), float(costs.min()), float(costs.median())
+    still, best, usual = torch.stack([costs[down, across], costs.min(), costs.median()]).tolist()
     return best < _C.better * still or (usual > _C.visible and still > _C.unlike * usual)
 
 

@@ -21,7 +21,7 @@ from lightfield_gs.photo.depth_models.model import DepthModel, Prediction
 from lightfield_gs.photo.depth_models.open import open_model
 from lightfield_gs.photo.depth_models.weights import WrongWeights
 from lightfield_gs.photo.depth_windows import in_windows
-from lightfield_gs.photo.joint_upsampling import disparities_to_z, distances_to_z, upsample
+from lightfield_gs.photo.joint_upsampling import at_middles, disparities_to_z, distances_to_z, upsample
 from lightfield_gs.photo.steady_depth import PictureEstimate
 
 _ESTIMATED_KINDS: tuple[DepthKind, ...] = ("distance", "disparity")
@@ -107,6 +107,20 @@ def estimate_pictures(
     Raises:
         InputError: As depth_from_network.
     """
+    shrunk = ((number, shrink_picture(image, model, device, kind)) for number, image in images)
+    return estimate_shrunk(shrunk, model, device, kind=kind)
+
+
+def shrink_picture(image: np.ndarray, model: str | Path, device: Device, kind: str | None) -> np.ndarray:
+    """Return a picture at the size that the network sees, uint8 [h, w, 3]; the arguments as of estimate_pictures."""
+    network, _ = _open(model, device, kind, None, None)
+    return network.shrink(_to_pixels(image))
+
+
+def estimate_shrunk(
+    pictures: Iterable[tuple[int, np.ndarray]], model: str | Path, device: Device, *, kind: str | None
+) -> Iterator[tuple[int, PictureEstimate]]:
+    """Yield the network's numbers for pictures of `shrink_picture`; the rest as of estimate_pictures."""
     network, kind = _open(model, device, kind, None, None)
 
     def disparities(pictures: list[np.ndarray]) -> list[Tensor]:
@@ -114,11 +128,9 @@ def estimate_pictures(
         return values if kind == "disparity" else [distances_to_z(part).disparities for part in values]
 
     if network.at_once > 1:
-        pictures = ((number, network.shrink(_to_pixels(image))) for number, image in images)
         yield from in_windows(pictures, disparities, network.at_once, kind == "distance")
         return
-    for number, image in images:
-        picture = network.shrink(_to_pixels(image))
+    for number, picture in pictures:
         (values,) = disparities([picture])
         yield number, PictureEstimate.of(values, picture)
 
@@ -169,6 +181,8 @@ def z_of_estimate(
         found = distances_to_z(1 / estimate.disparities)
     else:
         found = disparities_to_z(estimate.disparities, limits, estimate.limits)
+    if estimate.disparities.numel() >= photo.shape[0] * photo.shape[1]:
+        return found.z(at_middles(found.disparities, photo))
     return found.z(upsample(found.disparities, photo, found.value_range))
 
 

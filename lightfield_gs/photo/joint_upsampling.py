@@ -148,12 +148,23 @@ def resize_to_photo(z: np.ndarray, photo: np.ndarray) -> np.ndarray:
         z: Distances [h, w], scene units.
         photo: [H, W, 3 or more], floats in 0..1, of the same shape.
     """
-    (height, width), (rows, columns) = photo.shape[:2], z.shape
-    if rows * columns > height * width:
-        down, right = (((np.arange(n) + 0.5) * m / n).astype(int) for n, m in ((height, rows), (width, columns)))
-        return z[np.ix_(down, right)]
-    estimate = distances_to_z(torch.from_numpy(z))
-    return estimate.z(upsample(estimate.disparities, torch.from_numpy(photo[..., :3]), estimate.value_range)).numpy()
+    return measured_to_photo(torch.from_numpy(z), torch.from_numpy(photo[..., :3])).numpy()
+
+
+def measured_to_photo(z: Tensor, photo: Tensor) -> Tensor:
+    """Return distances [h, w] at the size of a photo [H, W, 3], see resize_to_photo."""
+    if z.numel() > photo.shape[0] * photo.shape[1]:
+        return at_middles(z, photo)
+    estimate = distances_to_z(z)
+    return estimate.z(upsample(estimate.disparities, photo, estimate.value_range))
+
+
+def at_middles(values: Tensor, photo: Tensor) -> Tensor:
+    """Return a map [h, w] at the size of a smaller photo [H, W, 3]: each pixel takes the value at its middle."""
+    down, right = (
+        (torch.arange(n, device=values.device) * 2 + 1) * m // (2 * n) for n, m in zip(photo.shape[:2], values.shape)
+    )
+    return values[down[:, None], right]
 
 
 class _Voters:

@@ -58,7 +58,7 @@ class PictureEstimate:
     @classmethod
     def of(cls, disparities: Tensor, photo: np.ndarray) -> PictureEstimate:
         """Return the estimate of a photo [H, W, 3 or more], uint8 or floats in 0..1."""
-        picture = torch.from_numpy(np.ascontiguousarray(photo[..., :3])).to(disparities.device).movedim(2, 0)[None]
+        picture = torch.from_numpy(np.array(photo[..., :3])).to(disparities.device).movedim(2, 0)[None]
         picture = picture / 255 if picture.dtype == torch.uint8 else picture
         if picture.shape[2:] != disparities.shape:
             picture = interpolate(picture, size=disparities.shape, mode="area")

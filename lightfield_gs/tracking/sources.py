@@ -15,8 +15,9 @@ import numpy as np
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.atomic import checked_path
 from lightfield_gs.io.text_files import read_text
+from lightfield_gs.live.opening import open_source
 from lightfield_gs.live.reader import Reader
-from lightfield_gs.live.sources import Source, open_source
+from lightfield_gs.live.sources import Source
 from lightfield_gs.tracking.camera import TrackerCamera
 from lightfield_gs.tracking.faces import FaceDetector
 from lightfield_gs.tracking.motion import EyeSample

@@ -34,6 +34,7 @@ PANEL, RIG = CASES["panel 2 x 1"].view()
 SCENE = CASES["single"].scene().to(dtype=torch.float32)
 CAMERAS = RIG.cameras(PANEL)
 MEASURED = dataclasses.replace(PANEL, viewing_distance_mm=2000.0, pixel_pitch_mm=0.2)
+EYES = ((-31.5, 0.0, 2000.0), (31.5, 0.0, 2000.0))
 VIEWS = torch.zeros(PANEL.views, 1, 2, 3)
 NET = SplatterNet(ModelConfig(image_size_px=16, layers=1, unet=UNetConfig(4, (1, 2), 1, (), 1)))
 PHOTO, DEPTH = np.ones((3, 4, 4), np.float32), np.ones((3, 4), np.float32)
@@ -226,6 +227,13 @@ CALLS = {
             shift=0.1,
             background=(0, 0, 0),
             device="cpu",
+        ),
+    ),
+    "weave_eyes": (lf.weave_eyes, dict(left=VIEWS[0], right=VIEWS[1], panel=MEASURED, eyes_mm=EYES)),
+    "encode_eyes": (
+        lf.encode_eyes,
+        dict(
+            gaussians=SCENE, panel=MEASURED, rig=RIG, eyes_mm=EYES, background=(1, 1, 1), antialiased=False, device=None
         ),
     ),
     "render": (

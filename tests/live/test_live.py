@@ -53,12 +53,14 @@ def scenes_of(source, photo_options: PhotoOptions, health: Health, pixels: int =
 
 
 @contextmanager
-def shown(source, health: Health, page: PageOut, outs=()) -> Iterator[threading.Event]:
-    """A source whose flat pictures are on a page; yields what is set at its end."""
+def shown(
+    source, health: Health, page: PageOut, outs=(), photo: PhotoOptions = PhotoOptions(depth=FLAT)
+) -> Iterator[threading.Event]:
+    """A source whose pictures are on a page, flat unless options say otherwise; yields what is set at its end."""
     over = threading.Event()
     with capturable_streams():
         reader = Reader(source, health.has_taken, print)
-        scenes = scenes_of(source, PhotoOptions(depth=FLAT), health)
+        scenes = scenes_of(source, photo, health)
         reader.start()
         scenes.settle(iter(reader.newest))
         drawer = LiveRenderer(PANEL, WHITE, scenes.detail)
@@ -163,6 +165,7 @@ def test_a_recording_has_frames_of_video_in_their_time(film, tmp_path, capsys):
     assert found == sorted(set(found)) and 1 < len(found) <= len(every) == 12
     times = timeline(tmp_path / "live.mkv").order
     assert abs(len(times) - (found[-1] - found[0] + 1)) <= 1  # frames that were left out leave their time
+    assert said.count("whole picture, flat") == 1  # of the first, not of each
     assert "frames a second shown" in said and f"next: lightfield-gs show {tmp_path}/live.mkv" in said
 
 
@@ -297,21 +300,25 @@ def test_the_page_follows_pixel_for_pixel(tmp_path):
     assert health.take().shown == 3
 
 
-def resident_mib() -> float:
+def held() -> tuple[float, int, int]:
+    """MiB of memory, threads and open files of this process."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+    mib = pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+    return mib, len(os.listdir("/proc/self/task")), len(os.listdir("/proc/self/fd"))
 
 
 @pytest.mark.slow
 @pytest.mark.alone
 @pytest.mark.not_sanitized
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
-def test_memory_does_not_grow_in_a_minute():
+@pytest.mark.parametrize("photo", [PhotoOptions(depth=FLAT), PhotoOptions(rgbd="right")], ids=["flat", "layers"])
+def test_nothing_grows_in_half_a_minute(photo):
     health = Health()
     page = PageOut(PANEL, health)
-    with shown(Clock(20, 1 << 20), health, page):
-        time.sleep(15)
-        before = resident_mib()
-        time.sleep(45)
-        after = resident_mib()
-    assert health.drawn > 100 and after - before < 20, (before, after)
+    with shown(Clock(20, 1 << 20), health, page, photo=photo):
+        time.sleep(8)
+        before = held()
+        time.sleep(20)
+        after = held()
+    assert health.drawn > 50 and after[0] - before[0] < 15, (before, after)
+    assert after[1] <= before[1] and after[2] <= before[2], (before, after)

@@ -14,11 +14,12 @@ from virtual_screen import virtual_screen
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.io.images import write_image
-from lightfield_gs.live import cameras, sources
+from lightfield_gs.live import cameras, opening, sources
 from lightfield_gs.live.cameras import Device
+from lightfield_gs.live.opening import open_source
 from lightfield_gs.live.reader import Reader
 from lightfield_gs.live.slot import Slot
-from lightfield_gs.live.sources import DeviceSource, open_source
+from lightfield_gs.live.sources import DeviceSource
 from lightfield_gs.video.decoding import Scaling
 
 av = pytest.importorskip("av", reason="live sources need the extra `video`")
@@ -74,7 +75,7 @@ def test_pictures_are_reduced_by_whole_halves(film):
 
 def test_a_camera_is_a_device_of_ffmpeg(film, monkeypatch):
     camera = Device("Desk camera", str(film), "matroska", ({"no_such_option": "1"},), crop=(8, 4, 16, 12))
-    monkeypatch.setattr(sources, "find_camera", lambda which: {"desk": camera}[which])
+    monkeypatch.setattr(opening, "find_camera", lambda which: {"desk": camera}[which])
     frames = list(open_source("camera:desk", 30).frames(threading.Event()))
     assert len(frames) == 6 and frames[2].picture(ALL).pixels.shape == (12, 16, 3)
 

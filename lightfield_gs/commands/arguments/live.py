@@ -32,9 +32,10 @@ def add_arguments(parser: Parser) -> None:
     add(
         "source",
         metavar="SOURCE",
-        short="camera:0, screen:, an address, a video, or a folder that grows",
-        help="camera:N or camera:NAME; screen: or a part of it, screen:X,Y,WxH; an address, as rtsp://... or "
-        "http://...; a video, at its own rate; a folder, of which the newest picture is shown",
+        short="camera:0, realsense:, screen:, an address, a video, or a folder that grows",
+        help="camera:N or camera:NAME; realsense:, kinect: (of Orbbec) or record3d:, with their depths; screen: or "
+        "a part of it, screen:X,Y,WxH; an address, as rtsp://... or http://...; a video, at its own rate; a folder, of "
+        "which the newest picture is shown",
     )
     add(
         "-o",

@@ -24,7 +24,7 @@ def add_stereo(add: Add, whose: str = "--stereo") -> None:
         "--eye-size",
         type=whole_numbers(2, 16384, "x", 2),
         metavar="WIDTHxHEIGHT",
-        help="of --stereo: pixels of one eye's picture (default 1920x1080)",
+        help=f"of {whose}: pixels of one eye's picture, or of a plain screen (default 1920x1080)",
     )
 
 
