@@ -1,5 +1,6 @@
 """Live pictures on a GPU against the CPU's: the same scenes, drawn in turn by one graph. Needs a GPU."""
 
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -38,7 +39,7 @@ def drawn(pictures: list[np.ndarray], options: PhotoOptions, device: str) -> lis
     def one_by_one() -> Iterator[Frame]:
         for frame in frames:
             while len(images) < frame.number:
-                torch.cuda.synchronize()
+                time.sleep(0.001)
             yield frame
 
     with capturable_streams(), torch.inference_mode():
