@@ -73,6 +73,20 @@ def test_a_thread_of_their_own_makes_items_and_its_errors_are_raised_here():
     assert found == [0, 1, 2] and threads == ["maker"] * 3
 
 
+def test_who_puts_a_thing_can_wait_until_it_is_taken_or_nobody_will():
+    slot: Slot[int] = Slot()
+    slot.wait_taken()
+    order = []
+    thread = threading.Thread(target=lambda: (slot.put(1), slot.wait_taken(), order.append("taken"), slot.put(2)))
+    thread.start()
+    time.sleep(0.1)
+    assert order == [] and next(iter(slot)) == 1
+    thread.join(5)
+    assert order == ["taken"]
+    slot.close()
+    slot.wait_taken()
+
+
 def test_only_the_newest_waits():
     slot: Slot[int] = Slot()
     for item in range(5):
