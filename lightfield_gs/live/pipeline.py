@@ -88,6 +88,7 @@ class Pipeline:
     def _make_scenes(self) -> None:
         for item in self._scenes(iter(self._reader.newest)):
             self._drawable.put(item)
+            self._drawable.wait_taken()  # a scene that nobody draws would take the time of one that is drawn
 
     def _encode(self) -> None:
         for frame, gaussians in self._to_draw():
