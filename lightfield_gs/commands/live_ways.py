@@ -100,7 +100,10 @@ class WaysOut:
         else:
             self.panel, lines = tracked.panel, tracked.messages
         if self._is_plain and options.window:
-            raise InputError("--window is of a display with lenses, and none was found: give --panel, or leave it out")
+            raise InputError(
+                "--window is of a display with lenses, and a plain screen has none: name the display by --panel, or "
+                "leave it out"
+            )
         say(*lines)
         self.size_px = self.panel.width_px, self.panel.height_px
         if self._layout is not None:

@@ -1,4 +1,4 @@
-"""The perceptual loss WD-R: Wasserstein Distortion of VGG-16's features, with L1 and SSIM at a low weight.
+"""The perceptual loss WD-R: Wasserstein Distortion of VGG-16's features, with L1 and SSIM.
 
 Wasserstein Distortion (Qiu, Wagner, Ballé & Theis 2024, arXiv 2310.03629) compares the mean and the standard deviation
 of features in windows of size sigma: texture may move within a window, but has to be there. Features, scales, the
