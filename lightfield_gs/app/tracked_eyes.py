@@ -65,7 +65,7 @@ def tracked_screen(
     is_plain = options.screen_size is not None or panel.panel is None and not is_display_connected()
     is_open = options.eye_distance is None or is_plain and options.screen_size is None
     own = own_eyes() if is_open else OwnEyes()
-    eyes_mm = options.eye_distance or own.eye_distance_mm
+    apart_mm = options.eye_distance or own.eye_distance_mm
     if is_plain:
         width, height = options.eye_size or (StereoScreen.width_px, StereoScreen.height_px)
         screen = StereoScreen(
@@ -74,16 +74,16 @@ def tracked_screen(
         why = "" if options.screen_size is not None else " (no 3D display was found: --panel; --screen-size INCHES)"
         words = f"eyes: the picture follows them on a plain screen of {screen.diagonal_in:g} inches{why}"
         plain = replace(screen.panel(), name=f"screen of {screen.diagonal_in:g} inches")
-        return TrackedScreen(plain, True, eyes_mm, [words])
+        return TrackedScreen(plain, True, apart_mm, [words])
     if options.eye_size is not None:
         raise InputError("--eye-size is of a screen without lenses, and this panel has its own; leave it out")
     lenses = load_panel(panel)
     check_geometry(lenses)
     distance = lenses.viewing_distance_mm
     assert distance is not None
-    other = eye_crosstalk(lenses, [(-eyes_mm / 2, 0, distance), (eyes_mm / 2, 0, distance)])
-    words = f"{100 * other:.1f} % of the other eye's picture reaches each eye at {distance:g} mm, {eyes_mm:g} mm apart"
+    other = eye_crosstalk(lenses, [(-apart_mm / 2, 0, distance), (apart_mm / 2, 0, distance)])
+    words = f"{100 * other:.1f} % of the other eye's picture reaches each eye at {distance:g} mm, {apart_mm:g} mm apart"
     if other > _TOO_MUCH:
         note(f"eyes: {words}: the lenses of panel {lenses.name} are too wide for two tracked eyes; leave --eyes out")
-        return TrackedScreen(lenses, False, eyes_mm, [])
-    return TrackedScreen(lenses, False, eyes_mm, [f"eyes: {words}"])
+        return TrackedScreen(lenses, False, apart_mm, [])
+    return TrackedScreen(lenses, False, apart_mm, [f"eyes: {words}"])

@@ -91,6 +91,13 @@ def to_numpy(image: Tensor) -> np.ndarray:
     return host.copy_(image).numpy()
 
 
+def finished(image: Tensor) -> Tensor:
+    """Return an image once its device has drawn it."""
+    if image.is_cuda:
+        torch.cuda.current_stream(image.device).synchronize()
+    return image
+
+
 def finished_to_numpy(image: Tensor) -> np.ndarray:
     """Return a picture that its device has finished as an array; work that is queued meanwhile goes on.
 

@@ -100,7 +100,10 @@ class WaysOut:
         else:
             self.panel, lines = tracked.panel, tracked.messages
         if self._is_plain and options.window:
-            raise InputError("--window is of a display with lenses, and none was found: give --panel, or leave it out")
+            raise InputError(
+                "--window is of a display with lenses, and a plain screen has none: name the display by --panel, or "
+                "leave it out"
+            )
         say(*lines)
         self.size_px = self.panel.width_px, self.panel.height_px
         if self._layout is not None:
@@ -153,7 +156,10 @@ class WaysOut:
         if self._recording is not None:
             self._recording.begin()
             self._stack.callback(self._recording.end)
-        self._run(start)
+        try:
+            self._run(start)
+        except KeyboardInterrupt:
+            print("\nended")
 
     def _open_recording(self, output: Path, fps: Fraction, health: Health) -> Recording:
         if self._layout is not None:
@@ -176,10 +182,7 @@ class WaysOut:
             window.open()
             is_over = threading.Event()
             start(is_over.set)
-            try:
-                out.run(is_over)
-            except KeyboardInterrupt:
-                print("\nended")
+            out.run(is_over)
 
         return run
 
@@ -221,12 +224,9 @@ def _settled(options: WayOptions) -> WayOptions:
 
 
 def _wait(start: Callable[[Callable[[], None]], None]) -> None:
-    """Wait for the end, or for Ctrl-C."""
+    """Wait for the end."""
     is_over = threading.Event()
     start(is_over.set)
     print("Ctrl-C ends it", flush=True)
-    try:
-        while not is_over.wait(_WAIT_S):
-            pass
-    except KeyboardInterrupt:
-        print("\nended")
+    while not is_over.wait(_WAIT_S):
+        pass

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 import webbrowser
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -123,24 +124,23 @@ def _view(options: ViewOptions, watch: Stopwatch) -> None:
     reader = _Reader(options, panel, device.torch)
     shown, scene = _first(reader, paths)
     tracker, lines = (None, []) if tracked is None else open_tracker(options.eyes, tracked, say_now)
-    stage, where = _stage(options, scene, panel, tracker, tracked is not None and tracked.is_plain, device.webgpu)
-    drawn_on = device.webgpu or device.torch
-    print(f"{paths[shown]}: {scene.gaussians.count} Gaussians on {where}, drawn on {drawn_on}")
-    watch.say_if(options.stats)
-    say(*device.messages, *screen, *lines, *reader.messages)
-    with scratch_folder() as dropped:
+    with ExitStack() as stack:
+        dropped = stack.enter_context(scratch_folder())
+        if tracker is not None:
+            stack.callback(tracker.stop)
+        stage, where = _stage(options, scene, panel, tracker, tracked is not None and tracked.is_plain, device.webgpu)
+        drawn_on = device.webgpu or device.torch
+        print(f"{paths[shown]}: {scene.gaussians.count} Gaussians on {where}, drawn on {drawn_on}")
+        watch.say_if(options.stats)
+        say(*device.messages, *screen, *lines, *reader.messages)
         gallery = Gallery(paths, shown, reader.read, photos_and_scenes, is_shown_alone, OPENED_SUFFIXES, dropped)
         on_display = None if stage.fills_screen else _OnDisplay.found(panel, options)
+        if on_display is not None:
+            stack.callback(on_display.browser.close)
         looks, display = LookStore(looks_path()), None if on_display is None else on_display.show
         command = None if tracker is not None else reader.command
         routes = steering_routes(stage, exports(stage), gallery, looks, command, display)
-        try:
-            serve(options.serving, routes, "/", None if on_display is None else on_display.open_page)
-        finally:
-            if tracker is not None:
-                tracker.stop()
-            if on_display is not None:
-                on_display.browser.close()
+        serve(options.serving, routes, "/", None if on_display is None else on_display.open_page)
 
 
 def _screen(options: ViewOptions) -> tuple[Panel, list[str], TrackedScreen | None]:

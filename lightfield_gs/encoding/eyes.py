@@ -11,12 +11,13 @@ from torch import Tensor
 
 from lightfield_gs.base.arrays import Colour, to_bytes, to_tensor
 from lightfield_gs.base.checks import expect
+from lightfield_gs.base.device import finished
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.encoding.classic import render_cameras
 from lightfield_gs.panels.cells import LENS_WIDTH, PERIOD, subpixel_phases
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
-from lightfield_gs.panels.tracked_eyes import Eyes, eye_cameras, panel_for_eyes
+from lightfield_gs.panels.tracked_eyes import Eyes, checked_eyes, eye_cameras, panel_for_eyes
 from lightfield_gs.scene.gaussians import Gaussians
 
 _NEWEST = 0.3  # weight of the newest time of drawing in their average
@@ -115,7 +116,7 @@ def render_head_coupled(
     Raises:
         InputError: For arguments of other types or values.
     """
-    cameras = eye_cameras(panel, rig, [np.mean(eyes_mm, 0)])
+    cameras = eye_cameras(panel, rig, [np.mean(checked_eyes(eyes_mm, 2), 0)])
     picture = render_cameras(gaussians, cameras, background=background, antialiased=antialiased, device=device)
     return to_bytes(picture[0])
 
@@ -138,7 +139,7 @@ class EyesDrawing:
     def __call__(self, gaussians: Gaussians, rig: Rig, eyes_mm: Eyes, **how: Any) -> Tensor:
         """Return the picture uint8 [H, W, 3]; how: see encode_eyes. Raises InputError."""
         began = time.perf_counter()
-        image = self._draw(gaussians, self._panel, rig, eyes_mm, **how)
+        image = finished(self._draw(gaussians, self._panel, rig, eyes_mm, **how))
         weight = _NEWEST if self.seconds else 1.0
         self.seconds += weight * (time.perf_counter() - began - self.seconds)
         return image

@@ -184,7 +184,7 @@ def rasterization(
         "n_cameras": cameras.count,
     }
     of_each = Description(drawn.detach() if splats is None else splats, scene, everyone, screen, packed, full)
-    return full(picture), full(alphas), Meta(known, of_each.later())
+    return full(picture), full(alphas), Meta({**known, **of_each.entries()})
 
 
 _FARTHEST = 1e10  # gsplat's default, scene units: from it on nothing is cut

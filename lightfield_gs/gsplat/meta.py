@@ -77,30 +77,33 @@ class _Zeros(torch.autograd.Function):
         return None, None
 
 
-class Meta(UserDict[str, Any]):
-    """gsplat's meta, whose tensors are made when they are read for the first time: few loops read all of them."""
+class Later:
+    """An entry of Meta that is made when it is read for the first time."""
 
-    def __init__(self, known: dict[str, Any], later: dict[str, Callable[[], Any]]) -> None:
-        """Keep what is known, and what makes the rest."""
-        self._later: set[str] = set()
-        super().__init__(known)
-        self.data |= later
-        self._later |= set(later)
+    def __init__(self, make: Callable[[], Any]) -> None:
+        self._make = make
+
+    @cached_property
+    def value(self) -> Any:
+        """The entry."""
+        return self._make()
+
+
+class Meta(UserDict[str, Any]):
+    """gsplat's meta, of which an entry may be a Later: few loops read all tensors."""
 
     def __getitem__(self, name: str) -> Any:
-        """Return an entry; make it first, if nobody has read it yet."""
-        if name in self._later:
-            self[name] = self.data[name]()
-        return self.data[name]
-
-    def __setitem__(self, name: str, value: Any) -> None:
-        """Set an entry."""
-        self.data[name] = value
-        self._later.discard(name)
+        """Return an entry."""
+        entry = self.data[name]
+        return entry.value if isinstance(entry, Later) else entry
 
     def __repr__(self) -> str:
         """Return all entries as a dict shows them."""
         return repr(dict(self))
+
+    def __reduce__(self) -> tuple[type[Meta], tuple[dict[str, Any]]]:
+        """Return what pickle writes: all entries as they are."""
+        return Meta, (dict(self),)
 
 
 class Description:
@@ -127,8 +130,8 @@ class Description:
         self._splats, self._cameras, self._screen, self._packed, self._full = splats, cameras, screen, packed, full
         self._means, self._opacities = scene.means.detach(), scene.opacities.detach()
 
-    def later(self) -> dict[str, Callable[[], Any]]:
-        """Return the entries, each by what makes it."""
+    def entries(self) -> dict[str, Later]:
+        """Return the entries."""
         shown = {
             "radii": lambda: self._radii.ceil().to(torch.int32)[..., None].expand(*self._radii.shape, 2),
             "depths": self._depths,
@@ -137,8 +140,9 @@ class Description:
             "tiles_per_gauss": self._tiles,
         }
         ids = ("batch_ids", "camera_ids", "gaussian_ids")
-        found = {name: partial(self._id, name) for name in ids}
-        return found | {name: partial(self._chosen, make) for name, make in shown.items()} | {"means2d": self._means2d}
+        found: dict[str, Callable[[], Any]] = {name: partial(self._id, name) for name in ids}
+        found |= {name: partial(self._chosen, make) for name, make in shown.items()}
+        return {name: Later(make) for name, make in found.items()} | {"means2d": Later(self._means2d)}
 
     @cached_property
     def _radii(self) -> Tensor:

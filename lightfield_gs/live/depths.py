@@ -94,7 +94,7 @@ class LiveDepths:
         height, width = z.shape
         if self._size != (height, width):
             known = camera or settled_camera(self._photo, height, width)
-            placed, _ = place_photo(self._photo, self._panel, self._look, _with_alpha(image), z, *known)
+            placed, _ = place_photo(self._photo, self._panel, self._look, _with_alpha(image), z.cpu(), *known)
             margin = (0, 0, 0, 0) if placed is None else placed.margin_px
             self._size = height, width
             self._layers = QuickLayers(self._size, *known, margin, self._device, self._memory)

@@ -78,16 +78,13 @@ class Detail:
         wanted = 1 / min(self._fps, max(1.0, span.taken / span.seconds))
         if times[stage] <= _SLOW * wanted:
             return None
+        words = f"the {stage} takes {1000 * times[stage]:.0f} ms for a frame, and {1 / wanted:.3g} a second are wanted"
         if stage == "encode" and self._may_draw_fast:
             self.quality, self._may_draw_fast, self._is_new = "fast", False, True
-            took = (
-                f"the encode takes {1000 * times[stage]:.0f} ms for a frame, and {1 / wanted:.3g} a second are wanted"
-            )
-            return f"{took}: it draws with --quality fast (--quality exact keeps it)"
+            return f"{words}: it draws with --quality fast (--quality exact keeps it)"
         if not may_shrink:
             return None
         slow, self._slow = self._slow, (stage, times[stage], self.scaling.most_pixels)
-        words = f"the {stage} takes {1000 * times[stage]:.0f} ms for a frame, and {1 / wanted:.3g} a second are wanted"
         if slow is not None and stage == slow[0] and times[stage] > _HELPS * slow[1]:
             self._is_said, self.scaling = True, replace(self.scaling, most_pixels=slow[2])
             less = "--quality fast and --device draw faster" if stage == "encode" else "--device is another"

@@ -74,7 +74,8 @@ class Health:
     def __init__(self) -> None:
         self._lock, self._span = threading.Lock(), Span()
         self._since: dict[str, list[float]] = {}  # when stages that work began, and up to when that is counted
-        self.shown, self.drawn, self.taken, self._last_sent = 0, 0, 0, -1
+        self.shown, self.drawn, self.taken = 0, 0, 0
+        self._last_drawn, self._last_sent = -1, -1
 
     def has_taken(self, frame: Frame) -> None:
         """Count a picture of the source."""
@@ -82,14 +83,17 @@ class Health:
             self._span.taken += 1
             self.taken += 1
 
-    def has_drawn(self) -> None:
-        """Count a picture of the panel."""
+    def has_drawn(self, frame: Frame) -> None:
+        """Count a picture of the panel; the first of a frame, which may be drawn again."""
         with self._lock:
+            if frame.number <= self._last_drawn:
+                return
+            self._last_drawn = frame.number
             self._span.drawn += 1
             self.drawn += 1
 
     def has_sent(self, frame: Frame) -> None:
-        """Count a picture whose last byte is on its way, or in the hands of the recorder; the first of these."""
+        """Count a picture whose last byte is on its way, or in the hands of the recorder; the first of a frame."""
         with self._lock:
             if frame.number <= self._last_sent:
                 return

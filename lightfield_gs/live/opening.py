@@ -43,8 +43,8 @@ def open_source(words: str, rate: float, is_looped: bool = False) -> Source:
             return FilmSource(path, is_looped)
         else:
             raise InputError(
-                f"{words}: there is no such file; expected a video, a folder, camera:N, screen:, or an address as "
-                "rtsp://..."
+                f"{words}: there is no such file; expected a video, a folder, camera:N, screen:, "
+                f"{':, '.join(RGBD_KINDS)}:, or an address as rtsp://..."
             )
     if is_looped:
         raise InputError(f"--loop is of a video, and {words} is none; leave it out")

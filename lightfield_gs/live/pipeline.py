@@ -6,8 +6,8 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 
 import torch
-from torch import Tensor
 
+from lightfield_gs.base.device import finished
 from lightfield_gs.live.health import Health
 from lightfield_gs.live.outs import Drawn, Out
 from lightfield_gs.live.reader import Reader
@@ -88,12 +88,13 @@ class Pipeline:
     def _make_scenes(self) -> None:
         for item in self._scenes(iter(self._reader.newest)):
             self._drawable.put(item)
+            self._drawable.wait_taken()  # a scene that nobody draws would take the time of one that is drawn
 
     def _encode(self) -> None:
         for frame, gaussians in self._to_draw():
             with self._health.busy("encode"):
-                drawn = Drawn(_finished(self._draw(gaussians, self._scenes.rig, frame.number)))
-            self._health.has_drawn()
+                drawn = Drawn(finished(self._draw(gaussians, self._scenes.rig, frame.number)))
+            self._health.has_drawn(frame)
             self._drawn.put((frame, drawn))
 
     def _to_draw(self) -> Iterator[tuple[Frame, Gaussians]]:
@@ -111,10 +112,3 @@ class Pipeline:
         for frame, drawn in self._drawn:
             for out in self._outs:
                 out.put(frame, drawn)
-
-
-def _finished(image: Tensor) -> Tensor:
-    """Return an image once its device has drawn it."""
-    if image.is_cuda:
-        torch.cuda.current_stream(image.device).synchronize()
-    return image

@@ -48,7 +48,7 @@ class RgbdPicture(Picture):
         """Return it with no more pixels than these; its depths stay."""
         pixels = reduced(self.pixels, scaling)
         down, across = (small / size for small, size in zip(pixels.shape[:2], self.pixels.shape))
-        focal, centre = ((across * x, down * y) for x, y in ((self.focal_px[0], self.focal_px[1]), self.centre_px[:2]))
+        focal, centre = ((across * x, down * y) for x, y in (self.focal_px, self.centre_px))
         return RgbdPicture(pixels, z=self.z, focal_px=focal, centre_px=centre)
 
 
@@ -91,7 +91,8 @@ def open_rgbd(kind: str, which: str) -> RgbdSource:
         kind: The kind.
         which: A serial number. Empty: the first one.
     """
-    return RgbdSource(f"{kind}:{which}", partial(RGBD_KINDS[kind], which))
+    words = f"{kind}:{which}"
+    return RgbdSource(words, partial(RGBD_KINDS[kind], words, which))
 
 
 def _package(name: str, install: str, camera: str) -> ModuleType:
@@ -114,13 +115,12 @@ def _failing(camera: str, *kinds: type[Exception]) -> Iterator[None]:
 
 
 @contextmanager
-def _realsense(which: str) -> Iterator[_Take]:
+def _realsense(camera: str, which: str) -> Iterator[_Take]:
     rs = _package("pyrealsense2", "pip install 'lightfield-gs[realsense]'", "a RealSense")
-    camera = f"realsense:{which}"
     with _failing(camera, RuntimeError):
         pipeline = rs.pipeline()
-        _start_realsense(rs, pipeline, which)
         align = rs.align(rs.stream.color)
+        _start_realsense(rs, pipeline, which)
 
     def take() -> RgbdPicture | None:
         with _failing(camera, RuntimeError):
@@ -159,10 +159,9 @@ def _start_realsense(rs: Any, pipeline: Any, which: str) -> None:
 
 
 @contextmanager
-def _orbbec(which: str) -> Iterator[_Take]:
+def _orbbec(camera: str, which: str) -> Iterator[_Take]:
     install = "pip install --no-deps pyorbbecsdk2 (it asks for versions that exclude others' packages)"
     ob = _package("pyorbbecsdk", install, "an Orbbec")
-    camera = f"orbbec:{which}"
     with _failing(camera, ob.OBError, RuntimeError):
         pipeline = ob.Pipeline(*([_orbbec_device(ob, which)] if which else []))
         config = ob.Config()
@@ -172,8 +171,8 @@ def _orbbec(which: str) -> Iterator[_Take]:
         config.enable_stream(depths.get_default_video_stream_profile())
         config.set_frame_aggregate_output_mode(ob.OBFrameAggregateOutputMode.FULL_FRAME_REQUIRE)
         pipeline.enable_frame_sync()
-        pipeline.start(config)
         align = ob.AlignFilter(align_to_stream=ob.OBStreamType.COLOR_STREAM)
+        pipeline.start(config)
 
     def take() -> RgbdPicture | None:
         with _failing(camera, ob.OBError, RuntimeError):
@@ -202,9 +201,8 @@ def _orbbec_device(ob: Any, which: str) -> Any:
 
 
 @contextmanager
-def _record3d(which: str) -> Iterator[_Take]:
+def _record3d(camera: str, which: str) -> Iterator[_Take]:
     package = _package("record3d", "pip install 'lightfield-gs[record3d]'", "Record3D")
-    camera = f"record3d:{which}"
     found = [one for one in package.Record3DStream.get_connected_devices() if not which or one.udid == which]
     if not found:
         raise InputError(
@@ -243,8 +241,9 @@ def _measured(
     return RgbdPicture(pixels, z=np.where(z > 0, z, np.nan), focal_px=focal_px, centre_px=centre)
 
 
-# "kinect" are the successors of Azure Kinect, which Orbbec makes (Femto Bolt, Femto Mega)
-RGBD_KINDS: dict[str, Callable[[str], AbstractContextManager[_Take]]] = {
+# By what the command line names, and a serial number. "kinect" are the successors of Azure Kinect, which Orbbec makes
+# (Femto Bolt, Femto Mega)
+RGBD_KINDS: dict[str, Callable[[str, str], AbstractContextManager[_Take]]] = {
     "realsense": _realsense,
     "orbbec": _orbbec,
     "kinect": _orbbec,

@@ -26,19 +26,24 @@ class Slot(Generic[_T]):
         """Leave a thing for the next thread."""
         with self._changed:
             self._item = item
-            self._changed.notify()
+            self._changed.notify_all()
 
     def close(self) -> None:
         """Tell the next thread that nothing more comes."""
         with self._changed:
             self._is_closed = True
-            self._changed.notify()
+            self._changed.notify_all()
 
     def take(self) -> _T | None:
         """Return the newest thing; None where there is none."""
         with self._changed:
-            item, self._item = self._item, None
-        return item
+            return self._taken()
+
+    def wait_taken(self) -> None:
+        """Wait until the next thread has taken what is here, or the slot is closed."""
+        with self._changed:
+            while self._item is not None and not self._is_closed:
+                self._changed.wait(_LONGEST_WAIT_S)
 
     def __iter__(self) -> Iterator[_T]:
         """Yield each thing as soon as it is there, until the slot is closed and empty."""
@@ -50,11 +55,16 @@ class Slot(Generic[_T]):
             with self._changed:
                 if self._item is None and not self._is_closed:
                     self._changed.wait(seconds)
-                item, self._item = self._item, None
+                item = self._taken()
                 is_over = item is None and self._is_closed
             if is_over:
                 return
             yield item
+
+    def _taken(self) -> _T | None:
+        item, self._item = self._item, None
+        self._changed.notify_all()
+        return item
 
 
 def in_thread(name: str, items: Iterator[_T]) -> Iterator[_T]:

@@ -95,7 +95,7 @@ def eye_cameras(panel: Panel, rig: Rig, eyes_mm: Eyes) -> Cameras:
     distance = panel.viewing_distance_mm
     if distance is None:
         raise InputError(f"panel {panel.name} lacks viewing_distance_mm; eyes cannot be placed without")
-    eyes = np.array(_checked(eyes_mm))
+    eyes = np.array(checked_eyes(eyes_mm))
     amount = rig.half_width(panel) / (rig.zero_depth * math.tan(math.radians(panel.cone_deg) / 2))
     centres = rig.zero_depth / distance * eyes * (amount, -amount, -1) + (0, 0, rig.zero_depth)
     poses = np.repeat(rig.world_to_camera[None], len(eyes), 0)
@@ -110,11 +110,11 @@ def _paths(panel: Panel, eyes_mm: Eyes) -> tuple[EyePath, EyePath]:
     """Return the paths of the left and the right eye. Raises InputError."""
     check_geometry(panel)
     lens = panel.line_number, panel.slant_tan, panel.phase, math.tan(math.radians(panel.cone_deg) / 2)
-    left, right = (eye_path(panel, eye, *lens) for eye in _checked(eyes_mm, 2))
+    left, right = (eye_path(panel, eye, *lens) for eye in checked_eyes(eyes_mm, 2))
     return left, right
 
 
-def _checked(eyes_mm: Eyes, count: int | None = None) -> list[tuple[float, float, float]]:
+def checked_eyes(eyes_mm: Eyes, count: int | None = None) -> list[tuple[float, float, float]]:
     """Return the positions of eyes; count: of how many. Raises InputError."""
     rows = eyes_mm.tolist() if isinstance(eyes_mm, np.ndarray) else eyes_mm
     if not is_row(rows, count):

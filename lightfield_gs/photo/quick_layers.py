@@ -146,7 +146,7 @@ class Behind:
     colours: Tensor
 
     def covered_full(self, size: tuple[int, int]) -> Tensor:
-        """Return `covered` at the picture's size, with the pixels beside it."""
+        """Return `covered` at the picture's size."""
         return _enlarged(self.covered[None].float(), size)[0] > 0
 
 
@@ -176,12 +176,10 @@ def find_behind(image: Tensor, disparity: Tensor, focal_px: float, memory: Backg
     if memory is not None:
         remembered = memory.update(colours, near, ~hole)
         seen = remembered.is_known & (remembered.disparity < _C.step * near)
-        sources, disparities = (
-            torch.where(seen, remembered.colours, sources),
-            torch.where(seen, remembered.disparity, disparities),
-        )
+        sources = torch.where(seen, remembered.colours, sources)
+        disparities = torch.where(seen, remembered.disparity, disparities)
         is_source = is_source | seen
-    filled = _push_pull(torch.cat([sources, disparities[None]]), is_source & True)
+    filled = _push_pull(torch.cat([sources, disparities[None]]), is_source)
     most = torch.where(fringe, torch.inf, _C.behind * far)
     inside = torch.minimum(torch.where(is_source, disparities, filled[3]), most).clamp(min=far.amin())
     return Behind(
@@ -201,18 +199,14 @@ def _pooled(values: Tensor) -> Tensor:
 def _covered(near: Tensor, far: Tensor, focal_px: float) -> Tensor:
     """Return the pixels before a surface that is seen to the left or to the right of them within its shift."""
     widest, most = _C.widest_tan * focal_px, max(1, round(_C.reach * near.shape[1]))
-    covered, reached, least = torch.zeros_like(near, dtype=torch.bool), 0, far
-    step = 1
+    covered, least, reached = torch.zeros_like(near, dtype=torch.bool), far, 0
     while reached < most:
         step = min(max(1, reached), most - reached)
+        wide = pad(least[None], (step, step), mode="replicate")[0].unfold(1, 2 * step + 1, 1)
+        least = torch.minimum(torch.minimum(wide[..., 0], wide[..., -1]), least)
+        # What is new in the window is farther off than `reached`
+        covered |= (widest * (near / least - 1) > reached) & (least < _C.step * near)
         reached += step
-        wide = pad(least[None], (step, step), mode="replicate")[0] if step < least.shape[1] else least
-        if wide is least:
-            break
-        width = near.shape[1]
-        least = torch.minimum(torch.minimum(wide[:, :width], wide[:, 2 * step :]), least)
-        # The largest shift of a surface in this window; one that is nearer to the edge is found by a smaller one
-        covered |= (widest * (near / least - 1) >= reached) & (least < _C.step * near)
     return covered
 
 

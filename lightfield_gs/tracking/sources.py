@@ -61,7 +61,10 @@ def open_eyes(words: str, camera: TrackerCamera, say: Callable[[str], None]) -> 
         return SocketEyes(words, say)
     if not takes_pictures(words):
         return FileEyes(checked_path(words))
-    pictures = open_source("camera:0" if words == TRACK else words, _FPS)
+    try:
+        pictures = open_source("camera:0" if words == TRACK else words, _FPS)
+    except InputError as error:
+        raise InputError(f"eyes: {error}; or {TRACK}, udp:PORT, or a text of positions (.txt)") from None
     return PictureEyes(pictures, FaceDetector(say), camera, say)
 
 
@@ -92,9 +95,11 @@ class PictureEyes:
         reader = Reader(self._source, lambda frame: None, self._say)
         reader.start()
         try:
-            for frame in reader.newest:
+            for frame in reader.newest.within(_POLL_S):
                 if stop.is_set():
                     return
+                if frame is None:
+                    continue
                 pixels = frame.picture(Scaling(_PICTURE_PIXELS)).pixels
                 picture = np.ascontiguousarray(
                     pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1].repeat(3, 2)

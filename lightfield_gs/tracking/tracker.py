@@ -44,6 +44,7 @@ class EyeTracker:
         """Begin, wait until the source is open, and return lines on it. Raises InputError where it cannot be opened."""
         self._begin(self._run)
         self._is_open.wait(_OPENING_S)
+        self._is_open.set()  # where it opens later, its failure is said
         if self._failed is not None:
             raise self._failed
         with self._lock:

@@ -65,6 +65,19 @@ def test_photos_of_one_size_are_replayed_and_others_captured():
     assert encoder._captured is not captured
 
 
+def test_a_rig_of_all_photos_makes_the_frame_a_graph_that_draws_each():
+    photos = [photo(60, 80), photo(60, 80, (0.1, 0.3, 0.8)), np.roll(photo(60, 80), 9, 1)]
+    rig = PhotoEncoder(tiny_net(), PANEL)
+    rig(photos[0])
+    encoder = PhotoEncoder(tiny_net().cuda(), PANEL, rig=rig.rig)
+    for rgba in [*photos, photos[0]]:
+        expected = encode(tiny_net().predict(rgba), PANEL, rig.rig)
+        assert psnr_db(encoder(rgba), expected) > 38
+    with pytest.raises(InputError, match="empty mask"):
+        encoder(np.zeros_like(photos[0]))
+    assert psnr_db(encoder(photos[1]), encode(tiny_net().predict(photos[1]), PANEL, rig.rig)) > 38
+
+
 def test_bytes_and_tensors_on_the_device_are_taken():
     encoder = PhotoEncoder(tiny_net().cuda(), PANEL)
     as_bytes = np.round(255 * photo(50, 60)).astype(np.uint8)

@@ -1,6 +1,8 @@
 """gsplat's interface: images, gradients and meta; and its strategies in a loop like its trainer's."""
 
+import copy
 import math
+import pickle
 
 import pytest
 import torch
@@ -55,6 +57,18 @@ def test_harmonics_are_drawn_as_by_render_with_everything_that_gsplat_says():
     assert (meta["n_cameras"], meta["width"], meta["tile_width"]) == (2, 40, 3)
     low, _, _ = drawn(given, sh_degree=0)
     assert torch.equal(low, drawn({**given, "colors": given["colors"][:, :1]}, sh_degree=0)[0])
+
+
+def test_meta_is_copied_joined_and_pickled_as_a_dict():
+    given = parts()
+    given["means"].requires_grad_()
+    meta = drawn(given, sh_degree=1, packed=False)[2]
+    twin, joined = copy.copy(meta), meta | {"radii": 1}
+    meta |= {"depths": 2}
+    assert joined["radii"] == 1 and meta["depths"] == 2 and twin["radii"].shape == (2, 60, 2)
+    assert joined["means2d"] is meta["means2d"] is twin["means2d"]  # to which gradients come
+    again = pickle.loads(pickle.dumps(meta))
+    assert again.keys() == meta.keys() and torch.equal(again["conics"], meta["conics"])
 
 
 @pytest.mark.parametrize("channels", [1, 3, 5])

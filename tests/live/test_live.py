@@ -131,6 +131,7 @@ def test_a_picture_at_rest_is_shown_and_drawn_again_where_its_state_changes(tmp_
             assert version(2) == 2
             time.sleep(0.2)
             assert version(2) == 2  # once for each change
+            assert health.drawn == 1  # else the health line would ask whether the page is open
         finally:
             pipeline.stop()
 

@@ -231,6 +231,11 @@ def test_a_camera_that_is_not_there_or_stays_silent_is_an_error(monkeypatch):
     package.pipeline.start = absent
     with pytest.raises(InputError, match="No device connected"):
         next(open_source("realsense:", 30).frames(threading.Event()))
+    orbbec = pyorbbecsdk(calls)
+    orbbec.Pipeline.start = absent
+    monkeypatch.setitem(sys.modules, "pyorbbecsdk", orbbec)
+    with pytest.raises(InputError, match="^kinect:: No device connected"):
+        next(open_source("kinect:", 30).frames(threading.Event()))
     monkeypatch.setitem(sys.modules, "record3d", record3d(calls))
     with pytest.raises(InputError, match="record3d:another.*USB"):
         next(open_source("record3d:another", 30).frames(threading.Event()))

@@ -18,7 +18,7 @@ from lightfield_gs.live import cameras, opening, sources
 from lightfield_gs.live.cameras import Device
 from lightfield_gs.live.opening import open_source
 from lightfield_gs.live.reader import Reader
-from lightfield_gs.live.slot import Slot
+from lightfield_gs.live.slot import Slot, in_thread
 from lightfield_gs.live.sources import DeviceSource
 from lightfield_gs.video.decoding import Scaling
 
@@ -52,6 +52,39 @@ def test_a_film_comes_at_its_own_rate_and_begins_again(film):
     looped = open_source(str(film), 30, is_looped=True).frames(threading.Event())
     again = [next(looped) for _ in range(8)]
     assert greys(again)[-2:] == [0, 40] and [frame.number for frame in again] == list(range(8))
+
+
+def test_a_thread_of_their_own_makes_items_and_its_errors_are_raised_here():
+    threads, goes_on = [], threading.Event()
+
+    def items():
+        for number in range(3):
+            threads.append(threading.current_thread().name)
+            yield number
+            goes_on.wait(5)
+            goes_on.clear()
+        raise InputError("broken")
+
+    found = []
+    with pytest.raises(InputError, match="broken"):
+        for item in in_thread("maker", items()):
+            found.append(item)
+            goes_on.set()
+    assert found == [0, 1, 2] and threads == ["maker"] * 3
+
+
+def test_who_puts_a_thing_can_wait_until_it_is_taken_or_nobody_will():
+    slot: Slot[int] = Slot()
+    slot.wait_taken()
+    order = []
+    thread = threading.Thread(target=lambda: (slot.put(1), slot.wait_taken(), order.append("taken"), slot.put(2)))
+    thread.start()
+    time.sleep(0.1)
+    assert order == [] and next(iter(slot)) == 1
+    thread.join(5)
+    assert order == ["taken"]
+    slot.close()
+    slot.wait_taken()
 
 
 def test_only_the_newest_waits():

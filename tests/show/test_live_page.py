@@ -108,18 +108,24 @@ def test_a_live_picture_for_tracked_eyes_is_drawn_for_where_they_will_be():
 
 
 def test_live_follows_eyes_of_a_file(tmp_path, capsys):
-    """From end to end: the recording has the pictures of the eyes in the file."""
-    for number in range(6):
-        pixels_of = np.random.default_rng(number).integers(0, 256, (10, 20, 3), np.uint8).repeat(8, 0).repeat(8, 1)
-        (tmp_path / "shots").mkdir(exist_ok=True)
-        Image.fromarray(pixels_of).save(tmp_path / "shots" / f"{number}.png")
+    """From end to end: the recordings have pictures of the eyes in the files, each from another side."""
+    colours = np.random.default_rng(0).integers(0, 256, (10, 15, 3), np.uint8)
+    depths = np.broadcast_to(np.linspace(0, 255, 15).astype(np.uint8)[:, None], colours.shape)
+    shot = np.concatenate([colours, depths], 1).repeat(8, 0).repeat(8, 1)
+    Image.fromarray(shot).save(tmp_path / "shot.png")
     replace(LENSES, width_px=120, height_px=80).to_yaml(tmp_path / "p.yaml")
-    np.savetxt(tmp_path / "eyes.txt", [[0, *face(40).ravel()]])
-    words = f"live {tmp_path}/shots --depth flat --no-open --seconds 2 -o {tmp_path}/out.mkv"
-    assert main(f"{words} --panel {tmp_path}/p.yaml --eyes {tmp_path}/eyes.txt".split()) == 0
-    said = capsys.readouterr().out
-    assert "0.0 % of the other eye's picture" in said and "on panel p" in said
-    assert next(iter(decode(tmp_path / "out.mkv"))).shape == (80, 120, 3)
+    (tmp_path / "shots").mkdir()
+    (tmp_path / "shot.png").rename(tmp_path / "shots" / "shot.png")
+    recorded = []
+    for name, x in (("left", -150), ("again", -150), ("right", 150)):
+        np.savetxt(tmp_path / f"{name}.txt", [[0, *face(x).ravel()]])
+        words = f"live {tmp_path}/shots --rgbd right --no-open --seconds 1 -o {tmp_path}/{name}.mkv"
+        assert main(f"{words} --panel {tmp_path}/p.yaml --eyes {tmp_path}/{name}.txt".split()) == 0
+        said = capsys.readouterr().out
+        assert "0.0 % of the other eye's picture" in said and "on panel p" in said
+        recorded.append(next(iter(decode(tmp_path / f"{name}.mkv"))).astype(int))
+    left, again, right = recorded
+    assert left.shape == (80, 120, 3) and np.abs(left - right).mean() > 5 * np.abs(left - again).mean()
 
 
 @pytest.mark.parametrize(

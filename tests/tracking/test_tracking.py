@@ -17,6 +17,7 @@ from lightfield_gs.io.images import Picture
 from lightfield_gs.live.sources import Frame
 from lightfield_gs.panels.simulate import simulate
 from lightfield_gs.tracking import faces
+from lightfield_gs.tracking import tracker as tracker_module
 from lightfield_gs.tracking.camera import TrackerCamera, above
 from lightfield_gs.tracking.faces import FaceDetector
 from lightfield_gs.tracking.motion import EyeMotion, EyeSample
@@ -157,6 +158,42 @@ def test_a_lost_face_keeps_the_picture_and_is_said_once(detector):
     tracker.stop()
     assert said == ["eyes: they are not seen; the picture stays for where they were", "eyes: they are seen again"]
     assert np.abs(moved[-1] - head(0)).max() < 15 and len(moved) < 20  # half a pixel of 55 between the eyes
+
+
+def test_a_source_that_opens_late_and_fails_then_says_so(monkeypatch):
+    said, is_late = [], threading.Event()
+
+    class Late:
+        name = "late"
+
+        def samples(self, stop: threading.Event) -> Iterator[EyeSample]:
+            is_late.wait(10)
+            raise InputError("late: no such camera")
+            yield
+
+    monkeypatch.setattr(tracker_module, "_OPENING_S", 0.01)
+    tracker = EyeTracker(Late(), PANEL, said.append)
+    assert "none are seen yet by late" in tracker.start()[0]
+    is_late.set()
+    until = time.monotonic() + 10
+    while not said and time.monotonic() < until:
+        time.sleep(0.01)
+    assert said == ["eyes: late: no such camera; the picture stays for where they were"]
+
+
+def test_a_camera_without_pictures_is_let_go_at_the_end(detector):
+    is_free = threading.Event()
+
+    class Dark(Faces):
+        def frames(self, stop: threading.Event) -> Iterator[Frame]:
+            stop.wait(10)
+            is_free.set()
+            return iter(())
+
+    stop, began = threading.Event(), time.monotonic()
+    stop.set()
+    assert list(PictureEyes(Dark(), detector, CAMERA, print).samples(stop)) == [] and is_free.wait(5)
+    assert time.monotonic() - began < 8
 
 
 def test_another_program_sends_positions():

@@ -350,7 +350,7 @@ def add_optimisation(add: Add) -> None:
         "--init-scale",
         type=within(1e-6, 1e6),
         metavar="FACTOR",
-        help="size of the first Gaussians in distances to their neighbours (default 1; with --quick on a CPU 0.1, "
+        help="size of the first Gaussians in distances to their neighbours (default 0.3; with --quick on a CPU 0.1, "
         "which leaves short fits more texture)",
     )
     add(

@@ -25,7 +25,7 @@ def drawing_routes(stage: Stage) -> dict[str, Route]:
         """Return what draws the scene, or null where the server does: on a GPU, of a large scene, a film, for eyes."""
         floats = stage.gaussians.count * (_GAUSSIAN_FLOATS + 3 * stage.gaussians.sh.shape[1])
         is_film = stage.scene.film is not None
-        if stage.is_live or is_film or not stage.is_for_browsers or 4 * floats > _MOST_BYTES:
+        if stage.is_on_gpu or is_film or not stage.is_for_browsers or 4 * floats > _MOST_BYTES:
             return as_json(None)
         panel, scene = stage.panel, stage.scene
         return as_json(

@@ -18,9 +18,9 @@ class Lines:
     On a GPU one thread draws both. A thread for each connection would have a pool of torch's own.
     """
 
-    def __init__(self, is_live: bool):
+    def __init__(self, is_on_gpu: bool):
         self._still = ThreadPoolExecutor(1, "still")
-        self._moving = self._still if is_live else ThreadPoolExecutor(1, "moving")
+        self._moving = self._still if is_on_gpu else ThreadPoolExecutor(1, "moving")
         self._tickets = itertools.count(1)
         self._newest = 0
 

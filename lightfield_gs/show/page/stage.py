@@ -183,7 +183,7 @@ class Stage:
 
     def __init__(self, scene: StagedScene, panel: Panel, device: str | None = None):
         self.scene, self.panel, self._device = scene, panel, device
-        self.is_live = scene.gaussians.device.type == "cuda"
+        self.is_on_gpu = scene.gaussians.device.type == "cuda"
         self.version, self.number = 0, 0  # count the resting states of the page, and its scenes
         self._settled, self._changed = Controls(), threading.Condition()
         self._native: tuple[object, np.ndarray] | None = None
@@ -244,7 +244,7 @@ class Stage:
             return Picture(seen, f"through the lenses, {seen.shape[1]} x {seen.shape[0]} samples", stages)
         if still:
             width_px = STILL_WIDTH_PX
-        stages = {} if still or not self.is_live else self._native_live(controls)
+        stages = {} if still or not self.is_on_gpu else self._native_on_gpu(controls)
         with timed(stages, "view"):
             view = self._views(controls, [controls.eye], width_px)[0]
         return Picture(view, f"one view, {view.shape[1]} x {view.shape[0]}", stages)
@@ -252,7 +252,7 @@ class Stage:
     def sheet(self, controls: Controls, still: bool) -> Picture:
         """Return twelve views side by side, the left-most camera's first, at a smaller size unless still."""
         upright = self.panel.height_px > self.panel.width_px
-        width_px = SHEET_WIDTH_PX // (6 if upright else 4) // (1 if still or self.is_live else 2)
+        width_px = SHEET_WIDTH_PX // (6 if upright else 4) // (1 if still or self.is_on_gpu else 2)
         stages: dict[str, float] = {}
         with timed(stages, "views"):
             inner = 0.5 - 0.5 / self.panel.views  # the outermost integer views
@@ -354,7 +354,7 @@ class Stage:
             image = encode(scene, panel, rig, quality=controls.quality, stats=stats, **self.drawn_as(controls))
         return image.cpu().numpy()
 
-    def _native_live(self, controls: Controls) -> dict[str, float]:
+    def _native_on_gpu(self, controls: Controls) -> dict[str, float]:
         """Draw the native picture on the GPU, where it stays; return the time."""
         rig, stages = self._rig(controls), dict[str, float]()
         if self.scene.film is not None:  # an Encoder keeps what does not change

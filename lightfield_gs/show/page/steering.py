@@ -48,7 +48,7 @@ def steering_routes(
         command: Returns the command line that makes the picture of controls. None: the page shows none.
         display: Opens the panel's page on the display. None: the page has a link to it.
     """
-    token, lines = secrets.token_urlsafe(), Lines(stage.is_live)
+    token, lines = secrets.token_urlsafe(), Lines(stage.is_on_gpu)
     steering = _Steering(stage, lines)
     can = {"opens": gallery is not None, "keeps": looks is not None, "commands": command is not None}
     can["displays"] = display is not None
@@ -164,7 +164,7 @@ def _facts(stage: Stage) -> dict[str, object]:
         "name": stage.name,
         "gaussians": stage.gaussians.count,
         "device": stage.gaussians.device.type,
-        "live": stage.is_live,
+        "on_gpu": stage.is_on_gpu,
         "tracked": stage.is_tracked,
         "follow_ms": stage.follow_ms,
         "film": None if film is None else {"count": film.count, "fps": film.fps},

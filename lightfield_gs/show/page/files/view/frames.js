@@ -16,7 +16,7 @@ export class Frames {
     Object.assign(this, { state, panes, measure, told, mode: "eye", x: 0.5, y: 0.5, drawing: null, times: [] });
     Object.assign(this, { moves: 0, drawn: 0, rested: 0, isDrawing: false, isHeld: false, stopRest: new AbortController() });
     this.channel = new BroadcastChannel("lightfield-gs view"); // a panel's page in this browser follows at once
-    this.width = state.scene.live ? WIDTHS_PX[1] : 640;
+    this.width = state.scene.on_gpu ? WIDTHS_PX[1] : 640;
   }
 
   /** The parameters of a picture of a pane. */
@@ -71,7 +71,7 @@ export class Frames {
 
   sayWhoDraws() {
     document.body.dataset.draws = this.drawing ? "here" : "server";
-    const { scene } = this.state, words = this.drawing ? "this browser" : scene.live ? "the graphics card, by the program" : "the processor, by the program";
+    const { scene } = this.state, words = this.drawing ? "this browser" : scene.on_gpu ? "the graphics card, by the program" : "the processor, by the program";
     find("#drawn-by").textContent = `${scene.gaussians.toLocaleString("en")} Gaussians, drawn by ${words}.`;
   }
 
@@ -163,7 +163,7 @@ export class Frames {
     if (times.length > 30) times.shift();
     const mean = times.reduce((sum, each) => sum + each, 0) / times.length;
     find("#rate").textContent = `While moving: ${(1000 / mean).toFixed(0)} pictures a second.`;
-    if (this.state.scene.live || times.length < 4 || this.mode !== "eye") return;
+    if (this.state.scene.on_gpu || times.length < 4 || this.mode !== "eye") return;
     const factor = mean > FRAME_MS.slow ? 0.8 : mean < FRAME_MS.quick ? 1.2 : 1;
     const width = Math.round(Math.min(WIDTHS_PX[1], Math.max(WIDTHS_PX[0], this.width * factor)));
     if (width !== this.width) times.length = 0;
