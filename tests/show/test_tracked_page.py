@@ -82,7 +82,7 @@ def test_the_page_follows_the_eyes_by_itself(tmp_path):
         ("--eyes udp:5005 --screen-size 24 --panel toy-8v", "leave out one"),
         ("--tracker-fov 70", "--tracker-fov is for --eyes"),
         ("--eyes udp:5005 --tracker-at 0,0,0 --screen-size 24", "is of a camera that sees the eyes"),
-        ("--eyes none.abc --screen-size 24", "none.abc: there is no such file"),
+        ("--eyes none.abc --screen-size 24", ", or a .txt of positions"),
         ("--eye-distance 60", "--eye-distance is for --stereo or --eyes"),
     ],
 )
