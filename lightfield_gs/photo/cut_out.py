@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -86,12 +88,18 @@ def rembg_mask(pixels: np.ndarray, model: str, does: str, remedy: str) -> np.nda
     except (ImportError, SystemExit) as error:  # without onnxruntime it exits
         raise InputError(f"rembg, which {does}, could not be imported ({error}): {_INSTALL}; or {remedy}") from None
     try:
-        return np.asarray(rembg.remove(pixels, session=rembg.new_session(model), only_mask=True))
+        return np.asarray(rembg.remove(pixels, session=_session(rembg, model), only_mask=True))
     except Exception as error:  # of the download, its file, or the inference: it may be anything
         raise InputError(
             f"rembg, which {does}, failed: run it again with a connection, if its weights {model} (176 MB, fetched at "
             f"first use) are not on this machine; or {remedy}. It failed with: {' '.join(str(error).split())[:200]}"
         ) from None
+
+
+@functools.lru_cache(maxsize=1)
+def _session(rembg: Any, model: str) -> Any:
+    """Return a network of rembg, whose start takes longer than a picture: films and live pictures use it again."""
+    return rembg.new_session(model)
 
 
 _OTHER_CUT_OUTS = "give RGBA, a cut-out with mask=FILE, or remove_background=True (pip install 'lightfield-gs[photo]')"

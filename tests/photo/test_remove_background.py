@@ -22,7 +22,8 @@ def busy_photo() -> np.ndarray:
 def stand_in(remove) -> types.ModuleType:
     """A module like rembg, as far as it is used here."""
     module = types.ModuleType("rembg")
-    module.new_session = lambda name: {"model": name}
+    module.sessions = []
+    module.new_session = lambda name: module.sessions.append(name) or {"model": name}
     module.remove = remove
     return module
 
@@ -34,8 +35,10 @@ def test_background_is_removed_when_asked_for(folder, capsys, monkeypatch):
         assert data.dtype == np.uint8 and data.shape == (60, 80, 3) and session == {"model": "u2net"} and only_mask
         return np.where(data.min(2) == 250, 255, 0).astype(np.uint8)
 
-    monkeypatch.setitem(sys.modules, "rembg", stand_in(remove))
+    monkeypatch.setitem(sys.modules, "rembg", module := stand_in(remove))
     assert np.array_equal(lf.load_photo("busy.png", remove_background=True)[..., 3], alpha)
+    lf.load_photo("busy.png", remove_background=True)
+    assert module.sessions == ["u2net"]  # one for all photos
     monkeypatch.setattr(depth_network, "is_installed", lambda: False)  # which would show the whole scene
     assert "--remove-background" in complaint(capsys, "encode busy.png -o o.png --panel p.yaml")
 
