@@ -60,6 +60,7 @@ from lightfield_gs.show.notebook import NotebookPicture
 
 _ORIGIN_STEP = 1e-3  # the largest rounding to float32 of a position, as a fraction of the usual Gaussian's size
 _FEW_PHOTOGRAPHS = 12  # up to which dropout gained most in the measurements, and a fit mentions it
+SHORT, LONG, MANY_PHOTOGRAPHS = 7000, 30_000, 50  # steps, of fewer photographs and of so many; see _usual_steps
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,7 @@ class FitResult:
 def fit(
     capture: str | Path | Capture,
     *,
-    steps: int = 30_000,
+    steps: int | None = None,
     cap_max: int = 300_000,
     density: Density = "mcmc",
     exposure: bool | None = None,
@@ -184,7 +185,7 @@ def fit(
 
     Args:
         capture: a folder (COLMAP's sparse/0 or a transforms.json, and the photographs), or a result of read_capture.
-        steps: number of steps.
+        steps: number of steps. None: 30,000, or 7,000 where fewer than 50 photographs are fitted, see _usual_steps.
         cap_max: number of Gaussians at the end, or at most with "adaptive" density.
         density: "mcmc" or "adaptive".
         exposure: fit an affine change of colours for each photograph. None: if their exposures differ, see
@@ -230,7 +231,13 @@ def fit(
             f"loss: expected {', '.join(LOSSES)}, or a function of renders, photographs and weights, got {shown(loss)}"
         )
     named_loss = {"loss": loss} if own_loss is None else {}
-    named = {"steps": steps, "cap_max": cap_max, "density": density, **named_loss, **settings}
+    named = {
+        "steps": LONG if steps is None else steps,
+        "cap_max": cap_max,
+        "density": density,
+        **named_loss,
+        **settings,
+    }
     chosen = make_settings(exposure=False if exposure is None else exposure, **named)
     where = None if folder is None else checked_path(folder)
     options = RunOptions(
@@ -270,7 +277,17 @@ def fit(
         for line in placement.assumptions(photos_on, moments_on):
             assume(line)
         run, normalization, display = _prepare(
-            read, train, test, chosen, exposure, options, placement, group, (cone, centre, score_cone), opened, own_loss
+            read,
+            train,
+            test,
+            chosen,
+            (steps, exposure),
+            options,
+            placement,
+            group,
+            (cone, centre, score_cone),
+            opened,
+            own_loss,
         )
         run.go()
         trainer, pruning, window_scores = run.trainer, None, None
@@ -334,6 +351,22 @@ def _fit_memory(capture: Capture, place: Callable[[Capture], Placement], options
     return capture
 
 
+def _usual_steps(photographs: int) -> int:
+    """Return the number of steps for so many photographs, with a note where they are few.
+
+    Few photographs are overfitted. After 7,000 steps the views between them were better by 0.3, 0.5 and 0.6 dB than
+    after 30,000, of plush with 24 photographs, solids-round-1 and solids-arc-1 (28 each), by which this was chosen. Of
+    plush with 85 photographs 30,000 steps were better by 0.2. Of banana (12), solids-arc-2 and solids-round-2 (28),
+    which had no part in the choice, 7,000 steps are better by 0.5, 0.3 and 0.7 dB (docs/benchmarks.md).
+    """
+    if photographs >= MANY_PHOTOGRAPHS:
+        return LONG
+    assume(
+        f"{SHORT} steps: fewer than {MANY_PHOTOGRAPHS} photographs are overfitted by more (steps={LONG} takes the time)"
+    )
+    return SHORT
+
+
 def _needs_exposure(capture: Capture, indices: list[int]) -> bool:
     """Return whether the exposures of photographs differ, with a note where they do."""
     spread = exposure_spread(capture, indices)
@@ -362,7 +395,7 @@ def _prepare(
     train: list[int],
     test: list[int],
     settings: FitSettings,
-    exposure: bool | None,
+    asked: tuple[int | None, bool | None],
     options: RunOptions,
     placement: Placement,
     group: Group,
@@ -373,12 +406,15 @@ def _prepare(
     """Return the run before its first step, its coordinates and its display; print the choices.
 
     Args:
-        exposure: that of the settings; None: if the exposures of the photographs differ.
+        asked: steps and exposure of the settings; None: by the photographs.
         cones: cone, centre and score_cone.
         opened: gets the folder of the run's temporary files.
         loss: in place of that of the settings.
     """
     display, judged, messages = place_display(capture, *cones)
+    steps, exposure = asked
+    if steps is None:
+        settings = replace(settings, steps=_usual_steps(len(train)))
     if exposure is None:
         settings = replace(settings, exposure=_needs_exposure(capture, train))
     weights = None if display is None else display.photo_weights(train)
@@ -462,16 +498,16 @@ def _describe_loss(settings: FitSettings, own: Loss | None, device: str) -> str:
     if settings.loss == "l1-ssim":
         return "loss: l1-ssim, of pixels (wd is of texture, too)"
     slow = "; on a CPU a step takes about 100 times as long as with l1-ssim" if device == "cpu" else ""
-    return f"loss: WD-R, of the texture that VGG-16 sees, and at a low weight L1 and SSIM of the pixels{slow}"
+    return f"loss: WD-R, L1 and SSIM of the pixels, and from half of the steps on the texture that VGG-16 sees{slow}"
 
 
 def _describe_dropout(settings: FitSettings, photographs: int) -> list[str]:
     """Return a line of advice on dropout for this number of photographs; None without advice."""
     if settings.dropout > 0:
-        return [f"steps leave out a random part of the Gaussians, up to {settings.dropout:.0%} at the end (dropout)"]
+        return [f"steps leave out a random part of the Gaussians, up to {settings.dropout:.0%} (dropout)"]
     words = (
-        f"steps leave out no Gaussians: with {photographs} photographs a dropout of 0.2 gains up to 1 dB or loses up "
-        "to 1.5, by the scene; compare the PSNR of photographs held out"
+        f"steps leave out no Gaussians: with {photographs} photographs a dropout of 0.1 gains up to 0.4 dB or loses up "
+        "to 0.1, by the scene; compare the PSNR of photographs held out"
     )
     return [words] if photographs <= _FEW_PHOTOGRAPHS else []
 

@@ -72,11 +72,9 @@ def dropout(rates: Tensor, step: Tensor, seed: int, count: int) -> Tensor:
     draws another random subset, so that no Gaussian can hide behind others, and all get gradients. See Park et al.,
     "DropGaussian: Structural Regularization for Sparse-view Gaussian Splatting", CVPR 2025; csrc/math/fit/random.h.
 
-    It is off by default, since the gain depends on the scene more than on the number of photographs. Measured were 0.2
-    against 0, 7,000 steps, 9 to 12 photographs, PSNR of held-out photographs (docs/benchmarks.md). Bananas: +0.6 to
-    +0.8 dB. A plush figure: +0.2 and +0.7. Rendered scenes: -0.5 to +0.4. On captures that the choice did not use: a
-    real door -1.5, a rendered door -0.2, rendered toys +0.3. Overfitting shows late: in a tenth of the steps dropout
-    loses on nearly all of these.
+    It is off by default, since the gain depends on the scene more than on the number of photographs. Of held-out
+    photographs 0.1 gains -0.1 to +0.4 dB after 7,000 steps, and 0.0 to 0.2 after 30,000 (docs/benchmarks.md). Rates
+    that grow to the end, as in the paper, gain more of some scenes, and lose up to 1.5 dB of others.
 
     Args:
         rates: [steps], each in [0, 1); float32, on the CPU also float64.

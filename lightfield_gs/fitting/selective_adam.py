@@ -66,10 +66,12 @@ class SelectiveAdam(Optimizer):
         Raises:
             InputError: a gradient is dense and there is no mask of its rows, or it is sparse and there is one.
         """
+        # Once for all parameters: a device waits for it
+        seen = None if visibility is None else visibility.reshape(-1).nonzero()[:, 0]
         for group in self.param_groups:
             for parameter in group["params"]:
                 if parameter.grad is not None:
-                    self._move(parameter, group, *_rows(parameter, visibility))
+                    self._move(parameter, group, *_rows(parameter, visibility, seen))
 
     def _move(self, parameter: Tensor, group: dict[str, Any], rows: Tensor, gradient: Tensor) -> None:
         """Move rows [M] of a parameter against their gradients [M, ...]."""
@@ -96,8 +98,14 @@ class SelectiveAdam(Optimizer):
             tensor[rows] = moved
 
 
-def _rows(parameter: Tensor, visibility: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Return the rows [M] of a parameter that move, each once, and their gradients [M, ...]. Raises InputError."""
+def _rows(parameter: Tensor, visibility: Tensor | None, seen: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Return the rows [M] of a parameter that move, each once, and their gradients [M, ...]. Raises InputError.
+
+    Args:
+        parameter: with its gradient.
+        visibility: [N], see SelectiveAdam.step.
+        seen: [M], its rows that are not zero.
+    """
     gradient = parameter.grad
     assert gradient is not None
     shape = list(parameter.shape)
@@ -106,12 +114,11 @@ def _rows(parameter: Tensor, visibility: Tensor | None) -> tuple[Tensor, Tensor]
             raise InputError(f"visibility: the gradient of {shape} is sparse, and has rows of its own: leave it out")
         gradient = gradient.coalesce()
         return gradient.indices()[0], gradient.values()
-    if visibility is None:
+    if visibility is None or seen is None:
         raise InputError(
             f"visibility: expected the rows of {shape} to move, got none, and the gradient is dense: give a mask "
             f"[{shape[0] if shape else 'N'}], or ask for sparse gradients"
         )
     if not shape or visibility.numel() != shape[0]:
         raise InputError(f"visibility: expected {shape[:1]}, a number for each row, got {list(visibility.shape)}")
-    rows = visibility.reshape(-1).nonzero()[:, 0]
-    return rows, gradient[rows]
+    return seen, gradient[seen]

@@ -105,7 +105,7 @@ class FitSettings:
     # l1-ssim: (1 - ssim_lambda) L1 + ssim_lambda (1 - SSIM); wd: and texture, see wasserstein.py
     loss: LossName = _choice("l1-ssim", LOSSES)
     ssim_lambda: float = _real(0.2, 0.0, 1.0)
-    # The fraction of Gaussians that a step leaves out; it grows from 0 to this value at the end, see dropout.py
+    # The largest fraction of Gaussians that a step leaves out, see random.py; it rises from 0 and falls to 0 again
     dropout: float = _real(0.0, 0.0, 0.9)
     # Learning rates of Adam. means_lr is in units of the scene's extent and falls by means_lr_decay over the fit
     means_lr: float = _real(1.6e-4)

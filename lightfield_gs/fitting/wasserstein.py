@@ -30,11 +30,12 @@ from lightfield_gs.fitting import vgg16
 from lightfield_gs.fitting.photo_loss import photo_loss_and_gradient
 
 SCALES = 3
+# These numbers were chosen by the LPIPS of banana; solids-arc-1 and solids-round-1 had no part, see docs/scenes.md
 FIRST_STEPS = 0.5  # of all steps go by L1 and SSIM alone: the distortion places nothing
 LOG2_SIGMA = 2  # windows of 2^2 pixels of a photograph; the example of balle-lab/wasserstein-distortion has 2^4
-# The gradient is then about as long as that of L1 and SSIM alone, so that regularisers and limits on gradients keep
-# their balance. In a fit of the banana of the package (160 pixels, 1,000 steps, windows of 2^4) the distortion's
-# gradient, averaged over 4 x 4 pixels, was 400 times as long in the first step and 160 times in the last
+# The distortion's gradient is then about as long as that of L1 and SSIM, so that regularisers and limits on gradients
+# keep their balance: averaged over 4 x 4 pixels, it was 400 times as long in the first step of a fit of banana (160
+# pixels, windows of 2^4), and 160 times in the last
 DISTORTION_WEIGHT, PIXEL_WEIGHT = 0.005, 1.0
 _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet's colours, as torchvision's weights expect
 _LEAST_VARIANCE = 1e-6  # added to variances: gradients of their roots stay finite

@@ -155,7 +155,7 @@ def rasterization(
     }
     everyone = _everyones(cameras, scene) if distributed else cameras
     screen = Screen(scene, everyone, absgrad, (covars, backgrounds, *own.values()))
-    splats, parts, asked = None, scene, screen.tensor
+    splats, parts, asked = None, scene, screen.tensor()
     if sparse_grad or distributed:
         splats = find_splats(scene, everyone, RenderOptions(**choice, covars=covars))
         seen = SeenRows(is_drawn(splats).unflatten(0, (-1, views)).any(1), distributed)

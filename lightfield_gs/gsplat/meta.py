@@ -21,7 +21,7 @@ class Screen:
     """The projected means of a drawing, whose gradients are there after backward as gsplat's are.
 
     Attributes:
-        tensor: what `render` takes as screen; None without gradients.
+        has_gradients: whether backward sets gradients.
         shown: the projected means of meta; a leaf, whose .grad and .absgrad backward sets. None: nobody has read them.
     """
 
@@ -34,15 +34,23 @@ class Screen:
         self.absgrad = absgrad
         self.shown: Tensor | None = None
         self._early: Tensor | None = None
-        self.tensor: Tensor | None = None
-        if torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
-            self.tensor = cast(Tensor, _Zeros.apply(scene.means.new_zeros((), requires_grad=True), self))
+        self.has_gradients = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
+        self._like = scene.means.detach()
+
+    def tensor(self) -> Tensor | None:
+        """Return what `render` takes as screen; None without gradients.
+
+        It is not kept: it holds this object by its graph, and a circle would keep the drawing's memory for long.
+        """
+        if not self.has_gradients:
+            return None
+        return cast(Tensor, _Zeros.apply(self._like.new_zeros((), requires_grad=True), self))
 
     def show(self, means2d: Tensor, chosen: Tensor | None, full: Callable[[Tensor], Tensor]) -> Tensor:
         """Keep and return the projected means; chosen: of packed ones, which they are."""
         self._chosen, self._full = chosen, full
         self.shown = self._as_shown(means2d).detach().clone()
-        if self.tensor is not None:
+        if self.has_gradients:
             self.shown.requires_grad_()
         if self._early is not None:
             self.deliver(self._early)

@@ -266,8 +266,8 @@ def coverage_to_opacity(alpha: Tensor, spread_px: float, most: float) -> Tensor:
         spread_px: Standard deviation of the Gaussians.
         most: Largest opacity.
     """
-    steps = torch.linspace(0, most, 257, dtype=torch.float64)
-    offsets = torch.arange(-4, 5, dtype=torch.float64)
+    steps = torch.linspace(0, most, 257, dtype=torch.float64, device=alpha.device)
+    offsets = torch.arange(-4, 5, dtype=torch.float64, device=alpha.device)
     squares = (offsets[:, None] ** 2 + offsets**2).flatten()
     covered = 1 - (1 - steps[:, None] * torch.exp(-squares / 2 / spread_px**2)).prod(1)
     covered = covered / covered[-1]

@@ -64,7 +64,7 @@ def open_eyes(words: str, camera: TrackerCamera, say: Callable[[str], None]) -> 
     try:
         pictures = open_source("camera:0" if words == TRACK else words, _FPS)
     except InputError as error:
-        raise InputError(f"eyes: {error}; or {TRACK}, udp:PORT, or a text of positions (.txt)") from None
+        raise InputError(f"eyes: {error} (or {TRACK}, udp:PORT, or a .txt of positions)") from None
     return PictureEyes(pictures, FaceDetector(say), camera, say)
 
 

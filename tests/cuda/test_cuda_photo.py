@@ -9,7 +9,7 @@ from cuda_on_cpu import crop_cases, png_cases, sheet_cases, surface_cases
 from cuda_on_cpu.cases import NORMS, norm_case, norm_expected
 from photo_cases import PANEL, photo, psnr_db, tiny_net
 
-from lightfield_gs import InputError, PhotoEncoder, Rig, SplatterNet, _core, encode
+from lightfield_gs import InputError, PhotoEncoder, Rig, SplatterNet, _core, encode, from_depth
 from lightfield_gs.models.splatter_net import PRETRAINED
 from lightfield_gs.models.unet import group_norm_silu
 from lightfield_gs.panels.rig import frame_photo
@@ -135,6 +135,20 @@ def test_texels_are_those_of_pytorch(case):
 
 def test_photos_are_cropped_as_on_the_host():
     crop_cases.compare([crop_cases.cropped(case, "cuda") for case in crop_cases.CASES], crop_cases.refused("cuda"))
+
+
+def test_a_photo_with_depths_is_the_scene_of_the_cpu():
+    """A disc with a soft outline before a wall."""
+    rows, columns = np.mgrid[:60, :90]
+    distance = np.hypot(rows - 30, columns - 45)
+    inside = np.clip(20.5 - distance, 0, 1)[..., None]
+    wall = np.stack([0.4 + 0.2 * np.sin(columns / 5), 0.5 + 0.2 * np.cos(rows / 4), 0.3 + 0 * rows], 2)
+    image = (inside * (0.9, 0.2, 0.1) + (1 - inside) * wall).astype(np.float32)
+    depth = np.where(distance < 20.5, 1.0, 3.0).astype(np.float32)
+    here, there = (from_depth(torch.from_numpy(image).to(device), depth) for device in ("cpu", "cuda"))
+    assert there.means.is_cuda and there.count == here.count > 60 * 90
+    for name, field in here.fields().items():
+        torch.testing.assert_close(there.fields()[name].cpu(), field, atol=2e-5, rtol=1e-4)
 
 
 @pytest.mark.parametrize("name", png_cases.IMAGES)

@@ -233,3 +233,13 @@ def test_photographs_are_reduced_until_they_fit_the_memory(capture, tmp_path, mo
 def test_what_cannot_be_is_refused(wrong, words):
     with pytest.raises(InputError, match=words):
         lf.fit("/nowhere", **wrong)
+
+
+def test_few_photographs_take_fewer_steps(tmp_path, monkeypatch, capsys):
+    capture = write_capture(tmp_path / "capture")
+    begun = dict(cap_max=200, device="cpu", stop=lambda: True)
+    assert lf.fit(capture, **begun).settings.steps == 7000
+    assert "7000 steps" in capsys.readouterr().out
+    assert lf.fit(capture, **begun, steps=40).settings.steps == 40
+    monkeypatch.setattr("lightfield_gs.fitting.fit.MANY_PHOTOGRAPHS", 5)
+    assert lf.fit(capture, **begun).settings.steps == 30_000

@@ -1,8 +1,10 @@
 """gsplat's interface: images, gradients and meta; and its strategies in a loop like its trainer's."""
 
 import copy
+import gc
 import math
 import pickle
+import weakref
 
 import pytest
 import torch
@@ -10,6 +12,7 @@ import torch
 from lightfield_gs import Cameras, Gaussians, InputError, render
 from lightfield_gs.fitting.strategies import DefaultStrategy, MCMCStrategy
 from lightfield_gs.gsplat import rasterization
+from lightfield_gs.gsplat.meta import Description
 
 SIZE = (40, 30)
 
@@ -98,6 +101,21 @@ def test_batches_are_drawn_one_by_one():
     rows = meta["batch_ids"] * 120 + meta["camera_ids"] * 60 + meta["gaussian_ids"]
     assert torch.equal(dense["means2d"].reshape(-1, 2)[rows], meta["means2d"])
     assert int((dense["radii"][..., 0] > 0).sum()) == len(rows)
+
+
+def test_a_drawing_is_freed_with_its_meta():
+    given = parts()
+    given["means"].requires_grad_()
+    gc.collect()
+    gc.disable()  # what holds itself would stay until the collector runs
+    try:
+        image, _, meta = drawn(given, sh_degree=1)
+        image.sum().backward()
+        drawings = [weakref.ref(entry) for entry in gc.get_objects() if isinstance(entry, Description)]
+        del image, meta
+        assert drawings and not any(drawing() for drawing in drawings)
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize("packed", [False, True])

@@ -107,7 +107,7 @@ def test_a_plain_screen_shows_a_scene_as_deep_as_behind_a_window(amount, tmp_pat
         ("--tracker-fov 70", "--tracker-fov is for --eyes"),
         ("--eyes udp:5005 --tracker-at 0,0,0 --screen-size 24", "is of a camera that sees the eyes"),
         ("--eyes none.txt", "cannot read none.txt"),
-        ("--eyes none.abc --screen-size 24", "none.abc: there is no such file"),
+        ("--eyes none.abc --screen-size 24", ", or a .txt of positions"),
         ("--eye-distance 60", "--eye-distance is for --stereo or --eyes"),
     ],
 )

@@ -34,7 +34,7 @@ _MOST = 10_000_000
 _SETTINGS = {"gaussians": "cap_max", "absolute_gradients": "absgrad", "views_per_step": "batch_size"}
 # Options that depend on --quick: usual values, and those of a first look by device. Those of a CPU were chosen on the
 # banana of the package (14 photographs), for a minute on two cores; their quality was reported on no other capture
-_USUAL: dict[str, Any] = {"longest_px": None, "steps": 30_000, "gaussians": 300_000, "sh_degree": 3, "init_scale": 0.3}
+_USUAL: dict[str, Any] = {"longest_px": None, "steps": None, "gaussians": 300_000, "sh_degree": 3, "init_scale": 0.3}
 _QUICK = {
     "cpu": _USUAL | {"longest_px": 320, "steps": 1500, "gaussians": 15_000, "sh_degree": 2, "init_scale": 0.1},
     "cuda": _USUAL | {"steps": 7000},
@@ -317,8 +317,9 @@ def add_optimisation(add: Add) -> None:
         "--steps",
         type=whole(1, _MOST),
         metavar="N",
-        short="number of steps; 7000 is quick (default 30000)",
-        help="number of steps; schedules scale with it (default 30000)",
+        short="number of steps (default 7000; 30000 of 50 photographs or more)",
+        help="number of steps; schedules scale with it (default 7000; 30000 of 50 photographs or more, since fewer are "
+        "overfitted by so many)",
     )
     add(
         "--gaussians",
@@ -373,7 +374,7 @@ def add_optimisation(add: Add) -> None:
         default="l1-ssim",
         short="wd: by texture, as VGG-16 sees it; for long fits on a GPU",
         help="comparison of renders with photographs. l1-ssim: pixel by pixel (Kerbl et al. 2023); wd: by the texture "
-        "that the network VGG-16 sees, and pixels at a low weight (WD-R, Ozyilkan et al. 2026), for long fits on "
+        "that the network VGG-16 sees, too, in the second half of the steps (WD-R, Ozyilkan et al. 2026), for fits on "
         "a GPU. Its weights are fetched once, 528 MB (default l1-ssim)",
     )
     add(
@@ -381,10 +382,10 @@ def add_optimisation(add: Add) -> None:
         type=within(0.0, 0.9),
         default=0.0,
         metavar="FRACTION",
-        short="0.2 helps with a dozen photographs or fewer",
-        help="each step leaves out a random fraction of the Gaussians, which grows from 0 to this value at the "
-        "end, 0..0.9. With a dozen photographs or fewer it removes stray Gaussians before the views "
-        "between them; 0.2 gains up to 1 dB there or loses up to 1.5, by the scene (default 0: none)",
+        short="0.1 may help with a dozen photographs or fewer",
+        help="each step leaves out a random fraction of the Gaussians, which grows from 0 to this value after 70 %% of "
+        "the steps, and falls to 0 again; 0..0.9. With few photographs it removes stray Gaussians before the views "
+        "between them; 0.1 gained up to 0.4 dB or lost up to 0.1, by the scene (default 0: none)",
     )
     add(
         "--poses",
