@@ -29,8 +29,8 @@ demo: setup
 	mkdir -p demo
 	$(BIN)/lightfield-gs encode $(PHOTO) -o demo/cat.png --preview demo/preview
 	$(BIN)/lightfield-gs simulate demo/cat.png $(DEMO_EYES) -o demo/cat-eyes.png
-	$(BIN)/lightfield-gs encode $(CAPTURE)/fitted.spz --rig $(CAPTURE)/fitted.rig.yaml --background 0,0,0 \
-	  $(BANANA_LOOK) -o demo/scene.png --preview demo/scene-preview --depth-report
+	$(BIN)/lightfield-gs encode $(CAPTURE)/fitted.spz --rig $(CAPTURE)/fitted.rig.yaml $(BANANA_LOOK) \
+	  -o demo/scene.png --preview demo/scene-preview --depth-report
 	$(BIN)/lightfield-gs simulate demo/scene.png $(DEMO_EYES) -o demo/scene-eyes.png
 	$(BIN)/lightfield-gs encode $(CAPTURE)/images/DSC_0426.jpg --depth $(CAPTURE)/DSC_0426.depth.npz \
 	  --focus 0.45,0.55 --depth-amount 0.5 --zoom 1.1 --pan 0.08,-0.02 -o demo/depth.png --preview demo/depth-preview \
