@@ -24,13 +24,13 @@ photo: setup $(VENV)/.photo
 # fitted to photographs, and of one of these photographs with its depth; and what eyes 15 degrees to the left, in the
 # middle and 15 degrees to the right see of them from 2 m.
 DEMO_EYES := --eyes -536,536,3
+BANANA_LOOK := --focus 4.1 --depth-amount 0.6 --zoom 1.5 --pan 0.02,-0.03
 demo: setup
 	mkdir -p demo
 	$(BIN)/lightfield-gs encode $(PHOTO) -o demo/cat.png --preview demo/preview
 	$(BIN)/lightfield-gs simulate demo/cat.png $(DEMO_EYES) -o demo/cat-eyes.png
-	$(BIN)/lightfield-gs encode $(CAPTURE)/fitted.spz --rig $(CAPTURE)/fitted.rig.yaml --background 0,0,0 \
-	  --focus 4.1 --depth-amount 0.6 --zoom 1.5 --pan 0.02,-0.03 -o demo/scene.png --preview demo/scene-preview \
-	  --depth-report
+	$(BIN)/lightfield-gs encode $(CAPTURE)/fitted.spz --rig $(CAPTURE)/fitted.rig.yaml $(BANANA_LOOK) \
+	  -o demo/scene.png --preview demo/scene-preview --depth-report
 	$(BIN)/lightfield-gs simulate demo/scene.png $(DEMO_EYES) -o demo/scene-eyes.png
 	$(BIN)/lightfield-gs encode $(CAPTURE)/images/DSC_0426.jpg --depth $(CAPTURE)/DSC_0426.depth.npz \
 	  --focus 0.45,0.55 --depth-amount 0.5 --zoom 1.1 --pan 0.08,-0.02 -o demo/depth.png --preview demo/depth-preview \
@@ -46,9 +46,12 @@ demo-fit: setup
 	mkdir -p demo
 	$(BIN)/lightfield-gs fit $(CAPTURE) -o demo/banana.ply --longest-px 376 --steps 1500 --gaussians 15000 --sh-degree 2 \
 	  --cone 65in-8k-96v --centre DSC_0426.jpg --test-every 9 --device cpu
-	$(BIN)/lightfield-gs encode demo/banana.ply -o demo/banana.png --rig demo/banana.rig.yaml --preview demo/banana-preview
+	$(BIN)/lightfield-gs encode demo/banana.ply -o demo/banana.png --rig demo/banana.rig.yaml $(BANANA_LOOK) \
+	  --preview demo/banana-preview
+	$(BIN)/lightfield-gs simulate demo/banana.png $(DEMO_EYES) -o demo/banana-eyes.png
 	@echo "demo/banana.fit/last.png: a view that was held out, its photograph, and their difference; demo/banana.png: the"
-	@echo "image for the panel; demo/banana-preview/look-around.webp: what eyes see that move from left to right and back"
+	@echo "image for the panel; demo/banana-eyes.png: what eyes at -15, 0 and +15 degrees see of it;"
+	@echo "demo/banana-preview/look-around.webp: what eyes see that move from left to right and back"
 
 # The suite: tests side by side, one process a core and each on one thread, for a thread that waits for another would wait
 # for the other processes as well; then, one by one, those that compare times. A file is in one process, for its tests

@@ -29,7 +29,7 @@ from lightfield_gs.base.cli_messages import (
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.system import is_closed_pipe, stop_signals
 from lightfield_gs.commands.options.parser import Parser, join_values
-from lightfield_gs.commands.unknown import check_input, unknown_command
+from lightfield_gs.commands.unknown import check_input, check_source, unknown_command
 
 # A command has its arguments in a file of lightfield_gs/commands/arguments, and runs by one of lightfield_gs/commands
 COMMAND_GROUPS = {
@@ -61,6 +61,7 @@ COMMAND_GROUPS = {
 }
 COMMANDS = {name: purpose for commands in COMMAND_GROUPS.values() for name, purpose in commands.items()}
 _INPUTS = ("input", "image")  # arguments that are files to read
+_SOURCES = ("source", "eyes")  # arguments that may name one
 _EXAMPLES = (
     ("displays", "which displays are connected"),
     ("encode photo.jpg -o out.png", "a photo, for the display"),
@@ -105,6 +106,9 @@ def _run(arguments: list[str], began: float) -> int:
         for name in _INPUTS if arguments[0] != "fit" else ():  # which says what a capture is
             if isinstance(path := getattr(args, name, None), Path):
                 check_input(path)
+        for name in _SOURCES:
+            if isinstance(words_of := getattr(args, name, None), str):
+                check_source(words_of)
         with quiet() if getattr(args, "quiet", False) else nullcontext(), closing_lines():
             code = importlib.import_module(args.module).run(args) or 0
         return code

@@ -385,11 +385,14 @@ def _ease_depth(look: LookOptions, rig: Rig, panel: Panel, scene: LoadedScene) -
 
 
 def _wide_cone(look: LookOptions, rig: Rig, panel: Panel, scene: LoadedScene) -> list[str]:
-    """Return a line where a wide cone puts neighbouring views far apart, and nobody chose the cone."""
+    """Return a line where a wide cone puts neighbouring views far apart, and nobody chose the cone.
+
+    A screen of two eyes, or of one picture that follows them, has no neighbouring views.
+    """
     from lightfield_gs.panels.comfort import neighbour_step_px
 
     cone_deg = panel.cone_deg if rig.cone_deg is None else rig.cone_deg
-    if look.cone is not None or cone_deg <= _NARROWER_DEG:
+    if look.cone is not None or cone_deg <= _NARROWER_DEG or panel.views <= 2:
         return []
     step = neighbour_step_px(scene.gaussians, panel, rig)
     if step is None or step <= _WIDE_STEP_PX:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from lightfield_gs.app.options import EyesOptions, PanelOptions
+from lightfield_gs.app.options import EyesOptions, LookOptions, PanelOptions
 from lightfield_gs.app.own_eyes import OwnEyes, own_eyes
 from lightfield_gs.app.panel import is_display_connected, load_panel
 from lightfield_gs.base.cli_messages import note
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import StereoLayout
+from lightfield_gs.panels.look import Look
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.panels.simulate import check_geometry
 from lightfield_gs.panels.stereo_screen import StereoScreen
 from lightfield_gs.panels.tracked_eyes import eye_crosstalk
@@ -33,6 +35,21 @@ class TrackedScreen:
     is_plain: bool
     eye_distance_mm: float
     messages: list[str]
+
+    @property
+    def drawn_panel(self) -> Panel:
+        """The panel for which scenes are framed and drawn.
+
+        A plain screen has no pixel pitch here: both eyes see one picture, so no depth strains them.
+        """
+        return replace(self.panel, pixel_pitch_mm=None) if self.is_plain else self.panel
+
+    def deepened(self, rig: Rig, look: LookOptions) -> Rig:
+        """Return the rig of a scene, on a plain screen as deep as behind a window, times the options' depth."""
+        if not self.is_plain or look.cone is not None:
+            return rig
+        amount = 1.0 if look.depth_amount is None else look.depth_amount
+        return Look(depth_amount=amount).applied(replace(rig, cone_deg=None), self.panel)
 
 
 def refuse_eyes(options: EyesOptions) -> None:

@@ -96,7 +96,7 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     ways = WaysOut(options.ways, options.panel, tracked, fps, health, stack, say_now)
     panel = ways.panel
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
-    reader = Reader(source, health.has_taken, say_now)
+    reader = Reader(source, health.has_taken, say_now, holds_film=True)
     taken = options.photo, options.render, options.look, panel, device.torch, detail, health
     scenes = LiveScenes(source, *taken, options.remember)
     reader.start()
@@ -104,9 +104,11 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     say_now(f"{source.name}: waiting for its first picture")
     try:
         with torch.inference_mode():
-            scenes.settle(iter(reader.newest))
+            scenes.settle(reader.first())
     except InputError as error:
         raise reader.failed or error from None
+    if tracked is not None:
+        scenes.rig = tracked.deepened(scenes.rig, options.look)
     how = scenes.drawn_as
     drawing = FrameOptions(
         options.views, how.background, detail.quality, how.antialiased, how.view_filter, device.webgpu
@@ -124,7 +126,10 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     began = time.monotonic()
 
     def start(end_showing: Callable[[], None]) -> None:
+        if source.ends:
+            scenes.begin_now()
         pipeline.start()
+        reader.go_on()
         end.start(end_showing)
 
     try:

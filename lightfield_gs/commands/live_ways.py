@@ -98,7 +98,7 @@ class WaysOut:
         if tracked is None:
             self.panel, lines = panel_of(options.stereo, panel, "--stereo or --eyes")
         else:
-            self.panel, lines = tracked.panel, tracked.messages
+            self.panel, lines = tracked.drawn_panel, tracked.messages
         if self._is_plain and options.window:
             raise InputError(
                 "--window is of a display with lenses, and a plain screen has none: name the display by --panel, or "

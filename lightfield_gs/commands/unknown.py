@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -10,11 +11,12 @@ from pathlib import Path
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.suggestions import did_you_mean, nearest
 from lightfield_gs.base.system import quoted
-from lightfield_gs.io.file_kinds import SCENE_SUFFIXES
+from lightfield_gs.io.file_kinds import POSITION_TEXTS, SCENE_SUFFIXES, VIDEO_INPUTS
 
 _PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".heic", ".heif", ".avif", ".tif", ".tiff", ".bmp", ".exr", ".mpo", ".jps")
 _VIDEOS = (".mp4", ".mov", ".mkv", ".webm", ".gif")
 _MOST_NAMES = 5000  # of files beside, that are compared
+_KIND = re.compile(r"\w{2,}:")  # of a source that is no file, as camera: and https:
 _DESCRIBED = (".yaml", ".yml", ".json", ".safetensors")
 
 
@@ -45,6 +47,13 @@ def check_input(path: Path) -> None:
             raise InputError(f"cannot read {path}: {error.strerror}{hint}") from None
     except (OSError, ValueError):  # its reader says what is wrong
         return
+
+
+def check_source(words: str) -> None:
+    """Check a source of live pictures or of eyes as check_input does, where its name is that of a film or a text."""
+    path = Path(words)
+    if path.suffix.lower() in (*VIDEO_INPUTS, *POSITION_TEXTS) and not _KIND.match(words):
+        check_input(path)
 
 
 def _for_file(path: Path) -> list[str]:

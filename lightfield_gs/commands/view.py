@@ -41,6 +41,7 @@ from lightfield_gs.commands.view_command import ShownPicture
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.scenes.files import is_scene_path
 from lightfield_gs.panels.panel import Panel
+from lightfield_gs.panels.rig import Rig
 from lightfield_gs.scene.gaussians import Gaussians
 from lightfield_gs.show.display_browser import DisplayBrowser, find_browser
 from lightfield_gs.show.page.exports import exports
@@ -121,7 +122,7 @@ def _view(options: ViewOptions, watch: Stopwatch) -> None:
     panel, screen, tracked = _screen(options)
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
     watch.lap("start")
-    reader = _Reader(options, panel, device.torch)
+    reader = _Reader(options, panel, tracked, device.torch)
     shown, scene = _first(reader, paths)
     tracker, lines = (None, []) if tracked is None else open_tracker(options.eyes, tracked, say_now)
     with ExitStack() as stack:
@@ -149,7 +150,7 @@ def _screen(options: ViewOptions) -> tuple[Panel, list[str], TrackedScreen | Non
         refuse_eyes(options.eyes)
         return *panel_of(options.stereo, options.panel, "--stereo or --eyes"), None
     tracked = tracked_screen(options.eyes, options.stereo.stereo, options.panel, options.render.view_filter)
-    return tracked.panel, tracked.messages, tracked
+    return tracked.drawn_panel, tracked.messages, tracked
 
 
 def _stage(
@@ -221,11 +222,11 @@ def _first(reader: _Reader, paths: list[Path]) -> tuple[int, StagedScene]:
 class _Reader:
     """Reads the pictures of a page, and knows the command line of the one that was read last."""
 
-    def __init__(self, options: ViewOptions, panel: Panel, device: str):
+    def __init__(self, options: ViewOptions, panel: Panel, tracked: TrackedScreen | None, device: str):
         parser = Parser("lightfield-gs view")
         add_arguments(parser)
         self._typed = parser.typed(options.words)
-        self._options, self._panel, self._device = options, panel, device
+        self._options, self._panel, self._tracked, self._device = options, panel, tracked, device
         self.messages: list[str] = []
 
     def read(self, path: Path, is_dropped: bool = False) -> StagedScene:
@@ -244,8 +245,9 @@ class _Reader:
         if own.scene.photo.depth != self._options.scene.photo.depth:
             typed.append(("depth", (f"--depth={own.scene.photo.depth}",)))
         self._shown = ShownPicture(path, self._panel, framed.rig, own.look, typed)
+        rig = self._deepened(framed.rig, own.look)
         return StagedScene(
-            framed.scene.gaussians, framed.rig, path.name, render.background, render.antialiased, render.view_filter
+            framed.scene.gaussians, rig, path.name, render.background, render.antialiased, render.view_filter
         )
 
     def _read_film(self, own: ViewOptions, sequence: SceneSequence) -> StagedScene:
@@ -267,8 +269,11 @@ class _Reader:
             sequence.path, self._panel, framed.rig, own.look, list(self._typed), frames=sequence.files
         )
         film = Film(count, float(own.fps or DEFAULT_FPS), at)
-        name = sequence.path.name
-        return StagedScene(at(0), framed.rig, name, render.background, render.antialiased, render.view_filter, film)
+        name, rig = sequence.path.name, self._deepened(framed.rig, own.look)
+        return StagedScene(at(0), rig, name, render.background, render.antialiased, render.view_filter, film)
+
+    def _deepened(self, rig: Rig, look: LookOptions) -> Rig:
+        return rig if self._tracked is None else self._tracked.deepened(rig, look)
 
     def command(self, controls: Controls) -> list[str]:
         """Return the command line of the picture that was read last."""

@@ -21,6 +21,7 @@ VIDEO_INPUTS = (
     *(".mts", ".m2ts", ".m2t", ".ts", ".mod", ".tod", ".dv", ".vob", ".mpg", ".mpeg", ".m2v"),  # of camcorders and DVDs
     *(".wmv", ".3gp", ".3g2", ".ogv", ".flv"),  # of older phones and the web
 )
+POSITION_TEXTS = (".txt", ".csv")  # positions of eyes, of a line each
 _START_BYTES = 512
 _LARGE_BYTES = 64 << 20  # smaller files are read quickly in any case
 # First bytes of images, raw files of cameras among them. TGA has no magic number: bytes 1 and 2 have the values of its
@@ -156,7 +157,11 @@ _KINDS = (
     FileKind(
         "tiles for a map's viewer", _EXPORT, (".b3dm", ".i3dm", ".pnts", ".cmpt", ".3tz", ".slpk"), (b"b3dm", b"pnts")
     ),
-    FileKind("a video", "lightfield-gs video takes one of photos or RGB-D pictures, weave one of quilts", VIDEO_INPUTS),
+    FileKind(
+        "a video",
+        "lightfield-gs video takes one of photos or RGB-D pictures, weave one of quilts, show a panel's own",
+        VIDEO_INPUTS,
+    ),
     FileKind(
         "a project of a photogrammetry program",
         "export its cameras for COLMAP beside the photographs, and fit them: lightfield-gs fit",

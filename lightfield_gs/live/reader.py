@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.live.slot import Slot
@@ -19,6 +19,7 @@ class Reader:
         source: The source.
         seen: Called with each picture.
         say: Called with a line, where the source fails and where it is back.
+        holds_film: Whether a film stays at a picture until `first` asks for the next one, or `go_on` is called.
 
     Attributes:
         newest: Where the pictures go; closed at the end.
@@ -31,20 +32,33 @@ class Reader:
         seen: Callable[[Frame], None],
         say: Callable[[str], None],
         first_pause_s: float = _FIRST_PAUSE_S,
+        holds_film: bool = False,
     ):
         self._source, self._seen, self._say, self._first_pause_s = source, seen, say, first_pause_s
         self.newest: Slot[Frame] = Slot()
         self.failed: BaseException | None = None
-        self._stop = threading.Event()
+        self._stop, self._goes_on, self._holds = threading.Event(), threading.Event(), holds_film
         self._thread = threading.Thread(target=self._run, name="source", daemon=True)
 
     def start(self) -> None:
         """Begin."""
         self._thread.start()
 
+    def first(self) -> Iterator[Frame]:
+        """Yield the first pictures, by which something is settled that takes its time: see holds_film."""
+        for frame in self.newest:
+            yield frame
+            self._goes_on.set()
+
+    def go_on(self) -> None:
+        """Hold a film no longer."""
+        self._holds = False
+        self._goes_on.set()
+
     def stop(self) -> None:
         """End, without waiting: a device may keep its thread until its next picture."""
         self._stop.set()
+        self.go_on()
 
     def _run(self) -> None:
         try:
@@ -64,6 +78,9 @@ class Reader:
                     has_begun, is_away, pause = True, False, self._first_pause_s
                     self._seen(frame)
                     self.newest.put(frame)
+                    if self._holds and self._source.ends:
+                        self._goes_on.wait()
+                        self._goes_on.clear()
                 if self._source.ends or self._stop.is_set():
                     return
                 reason = "it sends no more pictures"

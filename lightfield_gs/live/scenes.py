@@ -119,6 +119,11 @@ class LiveScenes:
                     raise
         raise InputError(f"{self._source.name}: it ended before a picture came of which a scene can be made")
 
+    def begin_now(self) -> None:
+        """Count the first picture as taken now: that of a film which waited."""
+        frame, gaussians = self.first
+        self.first = replace(frame, taken=time.monotonic()), gaussians
+
     def __call__(self, frames: Iterator[Frame]) -> Iterator[tuple[Frame, Gaussians]]:
         """Yield the scene of each picture, with depths that are averaged with those before it, up to a cut.
 
@@ -276,7 +281,8 @@ class LiveScenes:
         except NoCutOut as error:
             raise _NotYetError(
                 f"{self._renamed(error.reason, path)}; give --depth auto for the whole picture in depth, or "
-                "--remove-background for who is before the camera; both take pip install 'lightfield-gs[photo]'"
+                "--remove-background for who is before the camera (both take pip install 'lightfield-gs[photo]'), or "
+                "--depth flat for the picture as it is"
             ) from None
         except PairMismatch as error:
             raise _NotYetError(self._renamed(str(error), path)) from None

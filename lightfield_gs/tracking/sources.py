@@ -14,6 +14,7 @@ import numpy as np
 
 from lightfield_gs.base.errors import InputError, named
 from lightfield_gs.io.atomic import checked_path
+from lightfield_gs.io.file_kinds import POSITION_TEXTS
 from lightfield_gs.io.text_files import read_text
 from lightfield_gs.live.opening import open_source
 from lightfield_gs.live.reader import Reader
@@ -26,7 +27,6 @@ from lightfield_gs.video.decoding import Scaling
 TRACK = "track"  # the first camera
 _FPS = 30.0  # that a screen is asked for
 _PICTURE_PIXELS = 640 * 360  # in which faces are found: 50 pixels between the eyes at 600 mm
-_TEXTS = (".txt", ".csv")
 _MOST_BYTES, _MOST_DATAGRAM = 1 << 24, 4096
 _POLL_S = 0.2  # between two looks at whether it shall end
 _FARTHEST_MM = 1e5
@@ -70,7 +70,7 @@ def open_eyes(words: str, camera: TrackerCamera, say: Callable[[str], None]) -> 
 
 def takes_pictures(words: str) -> bool:
     """Return whether a source of the command line has pictures, in which faces are to be found."""
-    return not _is_socket(words) and Path(words).suffix.lower() not in _TEXTS
+    return not _is_socket(words) and Path(words).suffix.lower() not in POSITION_TEXTS
 
 
 def _is_socket(words: str) -> bool:

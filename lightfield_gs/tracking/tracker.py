@@ -100,6 +100,10 @@ class EyeTracker:
                 if sample.eyes_mm is not None:
                     self._take(sample.taken, sample.eyes_mm)
                 self._is_open.set()
+            if not self._stop.is_set():
+                with self._lock:
+                    self._is_lost = True
+                self._say(f"eyes: {self._source.name} has ended; the picture stays for where they were")
         except BaseException as error:  # a thread would swallow it
             self._failed = error
             if self._is_open.is_set():

@@ -36,7 +36,7 @@ from lightfield_gs.live.page import PageOut
 from lightfield_gs.live.pipeline import Pipeline
 from lightfield_gs.live.reader import Reader
 from lightfield_gs.live.scenes import LiveScenes
-from lightfield_gs.live.sources import FolderSource, Frame
+from lightfield_gs.live.sources import FilmSource, FolderSource, Frame
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.show.page.server import Server
 from lightfield_gs.video.decoding import decode, timeline
@@ -163,11 +163,24 @@ def test_a_recording_has_frames_of_video_in_their_time(film, tmp_path, capsys):
     said = run(capsys, f"live {film} -o {tmp_path}/live.mkv {flat} --fps 5 --no-open")
     every = [frame.tobytes() for frame in decode(tmp_path / "all.mkv")]
     found = [every.index(frame.tobytes()) for frame in decode(tmp_path / "live.mkv")]
-    assert found == sorted(set(found)) and 1 < len(found) <= len(every) == 12
+    assert found == sorted(set(found)) and found[0] == 0 and found[-1] > 9 and 1 < len(found) <= len(every) == 12
     times = timeline(tmp_path / "live.mkv").order
     assert abs(len(times) - (found[-1] - found[0] + 1)) <= 1  # frames that were left out leave their time
     assert said.count("whole picture, flat") == 1  # of the first, not of each
     assert "frames a second shown" in said and f"next: lightfield-gs show {tmp_path}/live.mkv" in said
+
+
+def test_a_film_waits_while_its_first_pictures_settle_how_all_are_shown(film):
+    taken: list[int] = []
+    reader = Reader(FilmSource(film), lambda frame: taken.append(frame.number), print, holds_film=True)
+    reader.start()
+    first = reader.first()
+    assert [next(first).number, next(first).number] == [0, 1]
+    time.sleep(0.3)  # of 12 frames, 5 a second
+    assert taken == [0, 1]
+    reader.go_on()
+    assert next(first).number == 2
+    reader.stop()
 
 
 def test_ctrl_c_ends_with_a_whole_recording(film, tmp_path):

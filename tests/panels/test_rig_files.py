@@ -97,3 +97,7 @@ def test_a_wide_cone_is_said_with_a_narrower_one(capsys):
     assert "--cone 35" in line
     assert cli.main("encode s.ply -o o.png --panel wide.yaml --rig r.yaml --cone 35".split()) == 0
     assert "cone: " not in capsys.readouterr().out
+    replace(rig, cone_deg=54.0).to_yaml("wide-rig.yaml")
+    pair = "encode s.ply -o o.png --stereo sbs --rig wide-rig.yaml --eye-size 960x600 --depth-amount 1"
+    assert cli.main(pair.split()) == 0
+    assert "cone: " not in capsys.readouterr().out  # both eyes' pictures have no neighbours

@@ -3,9 +3,11 @@
 import io
 import json
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from command_line import complaint, scene
 from eye_cases import PANEL, face
 from PIL import Image
@@ -13,8 +15,12 @@ from test_page import get, serving
 from test_page_in_browser import REST, browser, pixels
 
 from lightfield_gs import Rig, encode_eyes
+from lightfield_gs.app.options import EyesOptions, LookOptions, PanelOptions
+from lightfield_gs.app.tracked_eyes import tracked_screen
 from lightfield_gs.encoding.eyes import render_head_coupled
+from lightfield_gs.panels.comfort import comfortable_amount
 from lightfield_gs.panels.stereo_screen import StereoScreen
+from lightfield_gs.panels.tracked_eyes import eye_cameras
 from lightfield_gs.show.page.exports import exports
 from lightfield_gs.show.page.stage import Controls, StagedScene
 from lightfield_gs.show.page.steering import steering_routes
@@ -74,6 +80,24 @@ def test_the_page_follows_the_eyes_by_itself(tmp_path):
         assert np.abs(seen[0].astype(int) - seen[1]).max() > 50
 
 
+@pytest.mark.parametrize("amount", [None, 0.5])
+def test_a_plain_screen_shows_a_scene_as_deep_as_behind_a_window(amount, tmp_path, monkeypatch):
+    """The cone of a scene's rig is of displays with views, and no depth strains eyes that both see one picture."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    screen = tracked_screen(EyesOptions("track", screen_size=24.0), None, PanelOptions(viewing_distance=500.0), 0.0)
+    panel = screen.drawn_panel
+    rig = replace(Rig.frame(scene(), panel), cone_deg=40.0)
+    cameras = eye_cameras(panel, screen.deepened(rig, LookOptions(depth_amount=amount)), [(0, 0, 500), (80, 0, 500)])
+    point = torch.from_numpy(np.linalg.inv(rig.world_to_camera) @ (0, 0, 2 * rig.zero_depth, 1))  # 500 mm behind
+    seen = [
+        focal[0] * at[0] / at[2] + centre[0]
+        for at, focal, centre in zip(cameras.world_to_camera @ point, cameras.focal_px, cameras.principal_point_px)
+    ]
+    moved = (amount or 1.0) * 40 * rig.focal_px[0] / 500  # the line of sight meets the window half-way
+    assert (seen[1] - seen[0]).item() == pytest.approx(moved)
+    assert comfortable_amount(scene(), panel, rig) is None
+
+
 @pytest.mark.parametrize(
     "words, complained",
     [
@@ -82,6 +106,7 @@ def test_the_page_follows_the_eyes_by_itself(tmp_path):
         ("--eyes udp:5005 --screen-size 24 --panel toy-8v", "leave out one"),
         ("--tracker-fov 70", "--tracker-fov is for --eyes"),
         ("--eyes udp:5005 --tracker-at 0,0,0 --screen-size 24", "is of a camera that sees the eyes"),
+        ("--eyes none.txt", "cannot read none.txt"),
         ("--eyes none.abc --screen-size 24", ", or a .txt of positions"),
         ("--eye-distance 60", "--eye-distance is for --stereo or --eyes"),
     ],

@@ -221,6 +221,15 @@ def test_positions_of_a_file_come_in_their_time(tmp_path):
     samples: list[EyeSample] = list(FileEyes(path).samples(threading.Event()))
     assert [one.eyes_mm[0, 0] for one in samples] == [-31, -21] and 0.09 < time.monotonic() - began < 2
     assert samples[1].taken - samples[0].taken == pytest.approx(0.1)
+    said: list[str] = []
+    tracker = EyeTracker(FileEyes(path), PANEL, said.append)
+    tracker.start()
+    until = time.monotonic() + 10
+    while not said and time.monotonic() < until:
+        time.sleep(0.01)
+    time.sleep(1.1)  # from then on they would be lost
+    tracker.now()
+    assert said == [f"eyes: {path} has ended; the picture stays for where they were"]
 
 
 @pytest.mark.parametrize(

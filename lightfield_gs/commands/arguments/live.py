@@ -81,14 +81,14 @@ def add_arguments(parser: Parser) -> None:
         "--remember",
         action=argparse.BooleanOptionalAction,
         default=True,
-        short="put what was seen there before behind things",
+        short="forget what was seen there before behind things",
         help="put behind things in front what was seen there before, while the camera stands still (default: yes)",
     )
     add_panel(parser.add_argument, "for framing")
     add_eyes(parser.add_argument)
     add_look(parser.add_argument)
     add_stereo(rarely(parser.add_argument), "--stereo and --eyes")
-    add_photo(parser.add_argument, "cut the object out of each picture with rembg, as `encode` does")
+    add_photo(parser.add_argument, "cut the object out of each picture with rembg, as `encode` does", has_maps=False)
     add = in_group(parser.add_argument, groups.DRAWING)
     add("--views", choices=VIEWS, default="integer", help="as in `encode` (default integer)")
     add(

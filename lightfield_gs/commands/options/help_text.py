@@ -82,8 +82,10 @@ def _value(action: argparse.Action) -> str:
 
 
 def _label(action: argparse.Action) -> str:
-    """Return "INPUT", "--stats" or "-o, --output FILE"."""
+    """Return "INPUT", "--stats", "-o, --output FILE", or "--no-stats" of what is done by itself."""
     names = action.option_strings
+    if isinstance(action, argparse.BooleanOptionalAction) and action.default:
+        names = [name for name in names if name.startswith("--no-")]
     long = [name for name in names if name.startswith("--")][:1]
     return f"{', '.join([*names[:1], *long] if names[:1] != long else long)} {_value(action)}".strip()
 

@@ -16,7 +16,7 @@ from lightfield_gs.base.options import (
     STEREO_INPUTS,
 )
 from lightfield_gs.commands.options import groups
-from lightfield_gs.commands.options.groups import Add, in_group
+from lightfield_gs.commands.options.groups import Add, in_group, rarely
 from lightfield_gs.commands.options.parser import numbers, whole, within
 
 # Formats in help, short and in full
@@ -57,6 +57,7 @@ def add_photo(
     cutting: str,
     mask: str = "cut-out of a photo, of the same size: bright or opaque on the object",
     of_mask: str = "IMAGE",
+    has_maps: bool = True,
 ) -> None:
     """Add the options of a photo.
 
@@ -65,16 +66,18 @@ def add_photo(
         cutting: help of --remove-background.
         mask: help of --mask.
         of_mask: placeholder of --mask.
+        has_maps: whether masks and depth maps may be files; the command refuses them otherwise.
     """
     add = in_group(add, groups.PHOTO)
-    add("--mask", type=Path, metavar=of_mask, short="cut-out of the object: a picture, bright there", help=mask)
+    add_mask = add if has_maps else rarely(add)
+    add_mask("--mask", type=Path, metavar=of_mask, short="cut-out of the object: a picture, bright there", help=mask)
     add("--remove-background", action="store_true", short="cut the object out of the photo", help=cutting)
     add(
         "--clean-edges",
         action=argparse.BooleanOptionalAction,
         help="take the colour of the old background out of a cut-out's edges, where they have it (default)",
     )
-    add_depth(add)
+    add_depth(add, has_maps)
     add_detail(add)
     add(
         "--checkpoint",
@@ -109,14 +112,14 @@ def add_reading(add: Add) -> None:
     )
 
 
-def add_depth(add: Add) -> None:
-    """Add the options of a photo's depth map, and of the meaning of its numbers."""
+def add_depth(add: Add, has_maps: bool = True) -> None:
+    """Add the options of a photo's depth map, and of the meaning of its numbers; has_maps: see add_photo."""
     add = in_group(add, groups.DEPTH)
     add(
         "--depth",
         type=Path,
-        metavar="FILE|auto|flat",
-        short="depth map; auto: estimate it; flat: none",
+        metavar="FILE|auto|flat" if has_maps else "auto|flat",
+        short="depth map; auto: estimate it; flat: none" if has_maps else "auto: estimate the depth; flat: none",
         help="depth map of the photo, of the same shape; the whole scene is then shown, without the network of "
         "the object. A grey .png (8 or 16 bits) or .tif, an .exr with a depth channel, or a .npy or .npz "
         "of numbers [H,W]; auto: a network of transformers estimates it (pip install "
