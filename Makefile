@@ -44,7 +44,7 @@ demo: setup
 # camera is one with others to both sides, and a photograph between them is held out.
 demo-fit: setup
 	mkdir -p demo
-	$(BIN)/lightfield-gs fit $(CAPTURE) -o demo/banana.ply --longest-px 376 --steps 1500 --gaussians 15000 --sh-degree 2 \
+	$(BIN)/lightfield-gs fit $(CAPTURE) -o demo/banana.ply --longest-px 376 --steps 1500 --gaussians 15000 --sh-degree 2 --init-scale 0.1 \
 	  --cone 65in-8k-96v --centre DSC_0426.jpg --test-every 9 --device cpu
 	$(BIN)/lightfield-gs encode demo/banana.ply -o demo/banana.png --rig demo/banana.rig.yaml $(BANANA_LOOK) \
 	  --preview demo/banana-preview
