@@ -99,7 +99,7 @@ class Sink:
     def put(self, frame: Frame, drawn: Drawn) -> None:
         """See Out."""
         if not self._on_device:
-            drawn.pixels  # noqa: B018  # copied when it is asked for
+            _ = drawn.pixels  # copied when it is asked for
         self._health.has_sent(frame)
 
 

@@ -45,7 +45,7 @@ from lightfield_gs.fitting.placement import Placement, Room
 from lightfield_gs.fitting.posed_images import Normalization, PosedImages
 from lightfield_gs.fitting.progress import Progress
 from lightfield_gs.fitting.run import FitState, Run, RunOptions
-from lightfield_gs.fitting.settings import Density, FitSettings, Masks
+from lightfield_gs.fitting.settings import RECIPE_STEPS, Density, FitSettings, Masks
 from lightfield_gs.fitting.trainer import Trainer
 from lightfield_gs.fitting.vgg16 import fetch_weights
 from lightfield_gs.io.atomic import checked_path, make_folder, remove_left_over, scratch_folder
@@ -60,7 +60,7 @@ from lightfield_gs.show.notebook import NotebookPicture
 
 _ORIGIN_STEP = 1e-3  # the largest rounding to float32 of a position, as a fraction of the usual Gaussian's size
 _FEW_PHOTOGRAPHS = 12  # up to which dropout gained most in the measurements, and a fit mentions it
-SHORT, LONG, MANY_PHOTOGRAPHS = 7000, 30_000, 50  # steps, of fewer photographs and of so many; see _usual_steps
+MANY_PHOTOGRAPHS, _STEPS_OF_FEW = 50, 7000  # fewer photographs take fewer steps than recipes, see _usual_steps
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ def fit(
         )
     named_loss = {"loss": loss} if own_loss is None else {}
     named = {
-        "steps": LONG if steps is None else steps,
+        "steps": RECIPE_STEPS if steps is None else steps,
         "cap_max": cap_max,
         "density": density,
         **named_loss,
@@ -360,11 +360,12 @@ def _usual_steps(photographs: int) -> int:
     which had no part in the choice, 7,000 steps are better by 0.5, 0.3 and 0.7 dB (docs/benchmarks.md).
     """
     if photographs >= MANY_PHOTOGRAPHS:
-        return LONG
+        return RECIPE_STEPS
     assume(
-        f"{SHORT} steps: fewer than {MANY_PHOTOGRAPHS} photographs are overfitted by more (steps={LONG} takes the time)"
+        f"{_STEPS_OF_FEW} steps: fewer than {MANY_PHOTOGRAPHS} photographs are overfitted by more "
+        f"(steps={RECIPE_STEPS} takes the time)"
     )
-    return SHORT
+    return _STEPS_OF_FEW
 
 
 def _needs_exposure(capture: Capture, indices: list[int]) -> bool:

@@ -183,7 +183,7 @@ def rasterization(
         "n_batches": max(1, lead.numel()),
         "n_cameras": cameras.count,
     }
-    of_each = Description(drawn.detach() if splats is None else splats, scene, everyone, screen, packed, full)
+    of_each = Description(drawn if splats is None else splats, scene, everyone, screen, packed, full)
     return full(picture), full(alphas), Meta({**known, **of_each.entries()})
 
 

@@ -252,14 +252,16 @@ def _render_by_model(
 ) -> RenderedImages:
     """Render as `render` does, each image whole."""
     drawn, view = _draw_by_model(gaussians, cameras, background, options, screen)
-    images = _asked_for(drawn, view, options, gaussians.count)
-    return images if gaussians.is_batched else images.changed(lambda name, tensor: tensor.squeeze(0))
+    return _asked_for(drawn, view, options, gaussians)
 
 
+@for_graphs
 def render_and_splats(
     gaussians: Gaussians, cameras: Cameras, background: Colour, options: RenderOptions, screen: Tensor | None
 ) -> tuple[RenderedImages, Tensor]:
     """Return what `render` returns of cameras that are not equirectangular, and the splats [..., C, N, SPLAT_FIELDS].
+
+    The splats have no gradients.
 
     Args:
         gaussians: as by `render`.
@@ -274,11 +276,8 @@ def render_and_splats(
     gaussians.validate_layout()
     options = replace(options.checked(gaussians, cameras), splats=True)
     drawn, view = _draw_by_model(gaussians, cameras, background, options, screen)
-    images = _asked_for(drawn, view, options, gaussians.count)
     splats = _of_cameras(drawn, view, gaussians.count)
-    if gaussians.is_batched:
-        return images, splats
-    return images.changed(lambda name, tensor: tensor.squeeze(0)), splats.squeeze(0)
+    return _asked_for(drawn, view, options, gaussians), splats if gaussians.is_batched else splats.squeeze(0)
 
 
 def _draw_by_model(
@@ -369,8 +368,8 @@ def _drawn(fields: tuple[Tensor, ...], view: View, options: RenderOptions, scree
     return Drawn(*draw(*batch, view.background, *cameras, *size, screen, view.model))
 
 
-def _asked_for(drawn: Drawn, view: View, options: RenderOptions, count: int) -> RenderedImages:
-    """Return the images that the options ask for, [B, C, ...]; count: of Gaussians."""
+def _asked_for(drawn: Drawn, view: View, options: RenderOptions, gaussians: Gaussians) -> RenderedImages:
+    """Return the images that the options ask for, [B, C, ...], or of Gaussians without sets [C, ...]."""
     image, shown = drawn.image, None
     mode = options.render_mode
     if mode in ("D", "RGB+D"):
@@ -383,8 +382,9 @@ def _asked_for(drawn: Drawn, view: View, options: RenderOptions, count: int) -> 
         image = torch.cat([image, depths], -1) if mode.startswith("RGB") else depths
     others: dict[str, Tensor | None] = {name: getattr(drawn, name) for name in _OTHERS[:3]}
     if names := [name for name in _OF_SPLATS if getattr(options, name)]:
-        others |= splat_numbers(_of_cameras(drawn, view, count), names, view.width, view.height)
-    return RenderedImages(image, drawn.alpha if options.alpha else None, shown, **others)
+        others |= splat_numbers(_of_cameras(drawn, view, gaussians.count), names, view.width, view.height)
+    images = RenderedImages(image, drawn.alpha if options.alpha else None, shown, **others)
+    return images if gaussians.is_batched else images.changed(lambda name, tensor: tensor.squeeze(0))
 
 
 def _of_cameras(drawn: Drawn, view: View, count: int) -> Tensor:
