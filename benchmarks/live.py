@@ -45,6 +45,7 @@ from lightfield_gs.panels.panel import Panel
 from lightfield_gs.photo import depth_network
 from lightfield_gs.video.decoding import PixelKind, av_library
 from lightfield_gs.video.rendering import FrameOptions
+from lightfield_gs.webgpu.devices import choose_drawing_device
 
 WAYS = ("object", "depth")
 SECONDS, WARM_UP_S = 10.0, 3.0
@@ -149,7 +150,8 @@ def row(way: str, panel: Panel, given: Options) -> dict[str, Any]:
         with torch.inference_mode(), capture(words):
             scenes.settle(iter(reader.newest))
         how = scenes.drawn_as
-        drawing = FrameOptions("integer", how.background, detail.quality, how.antialiased, how.view_filter)
+        webgpu = choose_drawing_device("webgpu", panel.width_px * panel.height_px).webgpu if given.webgpu else None
+        drawing = FrameOptions("integer", how.background, detail.quality, how.antialiased, how.view_filter, webgpu)
         ended = threading.Event()
         draw, sink = LiveRenderer(panel, drawing, detail), Sink(health, given.on_device)
         pipeline = Pipeline(reader, scenes, draw, [sink], health, ended.set)
@@ -173,6 +175,7 @@ def row(way: str, panel: Panel, given: Options) -> dict[str, Any]:
         "height_px": panel.height_px,
         "views": panel.views,
         "device": given.device,
+        "drawn_by": webgpu or given.device,
         "seconds": seconds,
         "source_fps": rate,
         "frames_per_second": len(latencies) / seconds,
@@ -216,6 +219,7 @@ class Options(options.PanelOptions):
         quality: Of the drawing. None: as `live` has it.
         network_px: Shorter side of what the network for depths sees. None: that of NETWORK_PX.
         on_device: Whether the panel's pictures stay on the device, as for a window.
+        webgpu: Whether WebGPU draws the scenes, which the CPU makes.
     """
 
     way: str = ",".join(WAYS)
@@ -227,6 +231,7 @@ class Options(options.PanelOptions):
     quality: QualityName | None = None
     network_px: int | None = None
     on_device: bool = False
+    webgpu: bool = False
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -247,6 +252,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"shorter side of what the network sees (default: {NETWORK_PX['cuda']}, on the CPU {NETWORK_PX['cpu']})",
     )
     parser.add_argument("--on-device", action="store_true", help="do not copy the panel's pictures to the host")
+    parser.add_argument("--webgpu", action="store_true", help="draw by WebGPU what the CPU makes")
     options.add_panel(parser)
     options.add_machine(parser)
 
@@ -256,6 +262,8 @@ def run(given: Options) -> tuple[dict[str, Any], str]:
     ways = given.way.split(",")
     if not set(ways) <= set(WAYS):
         raise InputError(f"way=: expected some of {', '.join(WAYS)}, with commas, got {given.way!r}")
+    if given.webgpu and given.device != "cpu":
+        raise InputError(f"webgpu=: it draws scenes of the CPU; leave out --device {given.device}")
     torch.set_num_threads(given.thread_count or torch.get_num_threads())
     rows = [row(way, given.load_panel(), given) for way in ways]
     return {"rows": rows}, json.dumps(rows, indent=1)

@@ -209,7 +209,7 @@ def complete(image: Tensor, hole: Tensor, source: Tensor, guide: Tensor) -> Tens
         levels.append(levels[-1].halve())
     small = (number for number, level in enumerate(levels) if int(level.hole.sum()) <= _C.matched_pixels)
     finest = next(small, len(levels) - 1)
-    random = torch.Generator(device=image.device).manual_seed(0)
+    random = torch.Generator().manual_seed(0)  # of the host, so that all devices try the same matches
     search: _Matches | None = None
     for number in reversed(range(len(levels))):
         if not bool(levels[number].hole.any()):
@@ -290,12 +290,35 @@ class _Matches:
         self.patch_pixels = inside[..., 0] * self.width + inside[..., 1]
         self.colours = level.image.movedim(0, 2).reshape(-1, 3).contiguous()
         self.patches = self.colours[self.patch_pixels]
+        self.voted_pixels, self.votes = self._votes_of_pixels()
         self.match = self._first_matches(coarser)
         self.cost = self._cost(self.match, torch.arange(len(cells), device=device))
 
+    def _votes_of_pixels(self) -> tuple[Tensor, Tensor]:
+        """Return the pixels [P] of all patches, and the rows [P, 16] of their votes; a row past the end is none.
+
+        A sum of gathered rows has the same bits on each run, which a sum of scattered rows has not on CUDA.
+        """
+        r, side = _C.patch_radius, 2 * _C.patch_radius + 1
+        is_voted = torch.zeros(self.height * self.width, dtype=torch.bool, device=self.cells.device)
+        is_voted[self.patch_pixels.flatten()] = True
+        pixels = is_voted.nonzero()[:, 0]
+        at = torch.stack([pixels // self.width, pixels % self.width], 1)
+        first, rows = -((r - at) // _C.stride), []
+        across = torch.arange(-(-side // _C.stride), device=pixels.device)
+        for step in torch.cartesian_prod(across, across):
+            cell = first + step
+            offset = at - _C.stride * cell + r
+            row, column = (cell[:, dim].clamp(0, self.shape[dim] - 1) for dim in (0, 1))
+            number = self.number[row, column]
+            is_vote = ((cell >= 0) & (cell < torch.tensor(self.shape, device=cell.device)) & (offset < side)).all(1)
+            vote = number * side**2 + offset[:, 0] * side + offset[:, 1]
+            rows.append(torch.where(is_vote & (offset >= 0).all(1) & (number >= 0), vote, len(self.cells) * side**2))
+        return pixels, torch.stack(rows, 1)
+
     def _first_matches(self, coarser: _Matches | None) -> Tensor:
-        size, device = (len(self.centres),), self.centres.device
-        candidates = self.positions[torch.randint(len(self.positions), size, generator=self.random, device=device)]
+        drawn = torch.randint(len(self.positions), (len(self.centres),), generator=self.random)
+        candidates = self.positions[drawn.to(self.positions.device)]
         if coarser is None:
             return candidates
         matches, is_set = coarser.grid()
@@ -338,7 +361,7 @@ class _Matches:
             self._keep_better(candidate, inside & (other >= 0))
         radius = max(self.height, self.width) / 2
         while searches and radius >= 1:
-            candidates = torch.rand(self.match.shape, generator=self.random, device=self.match.device) * 2 - 1
+            candidates = torch.rand(self.match.shape, generator=self.random).to(self.match.device) * 2 - 1
             self._keep_better(self.match + (candidates * radius).round().long(), None)
             radius /= 2
 
@@ -358,11 +381,12 @@ class _Matches:
         goal = self.centres[:, None] + self.offsets
         weight = ((weight * near + 1e-9) * (self._clamp(goal) == goal).all(2)).view(-1, 1)
         votes = torch.cat([weight * self.colours[self._flat(self.match).flatten()], weight], 1)
-        votes = votes.new_zeros(len(self.colours), 4).index_add_(0, self.patch_pixels.flatten(), votes)
-        mixed, total = votes[:, :3] / votes[:, 3:].clamp_min(1e-30), votes[:, 3:]
-        self.voted = torch.where(total > 0, mixed, self.colours).T.view_as(self.level.image)
-        hole = self.level.hole.flatten()[:, None] & (total > 0)
-        self.colours = torch.where(hole, mixed, self.colours)
+        sums = functional.embedding_bag(self.votes, functional.pad(votes, (0, 0, 0, 1)), mode="sum")
+        total, pixels, colours = sums[:, 3:], self.voted_pixels, self.colours
+        mixed = torch.where(total > 0, sums[:, :3] / total.clamp_min(1e-30), colours[pixels])
+        self.voted = colours.index_put((pixels,), mixed).T.view_as(self.level.image)
+        hole = self.level.hole.flatten()[pixels, None]
+        self.colours = colours.index_put((pixels,), torch.where(hole, mixed, colours[pixels]))
         self.patches = self.colours[self.patch_pixels]
 
     def grid(self) -> tuple[Tensor, Tensor]:

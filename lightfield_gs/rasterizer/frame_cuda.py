@@ -184,7 +184,8 @@ class DirectFrames:
         self.capacity: int | None = None
         self.colour_order = self.orders[0]
         self.kernel = forced_kernel
-        self.host = torch.empty(_core.cuda.FRAME_STATE_BYTES, dtype=torch.uint8, pin_memory=True)
+        with torch.inference_mode(False):  # it is kept for frames that are drawn outside of it
+            self.host = torch.empty(_core.cuda.FRAME_STATE_BYTES, dtype=torch.uint8, pin_memory=True)
         self.noted: torch.cuda.Event | None = None  # once it is reached, `host` holds the state of a frame
 
     def takes(self, job: DirectRender) -> bool:

@@ -76,7 +76,8 @@ class Room:
         """Make room for such lists, within the most pairs of a pass."""
         self.pairs = max(self.pairs or 0, min(int(_SLACK * found.pairs) + _LEAST_PAIRS, most))
         if found.chunks:
-            self.chunks = max(self.chunks, int(_SLACK * found.chunks) + 1)
+            # A long list has a chunk more than its pairs fill at most; those of too many pairs were counted too
+            self.chunks = max(self.chunks, min(int(_SLACK * found.chunks) + 1, 2 * most // CHUNK))
             passes = max(found.longest - 1, 0) // CHUNK
             self.merges = max(self.merges, passes.bit_length() + passes.bit_length() % 2)
 

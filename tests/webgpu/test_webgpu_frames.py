@@ -8,6 +8,8 @@ import torch
 from rasterizer_cases import panel, random_scene, rig
 
 from lightfield_gs import Encoder, encode
+from lightfield_gs.webgpu.parameters import WORKGROUPS_ACROSS
+from lightfield_gs.webgpu.plans import CHUNK, MOST_PAIRS, Counters, Pass, Room
 
 # The drivers of GPUs are not ours, and what is drawn on the CPU is tested elsewhere
 pytestmark = pytest.mark.not_sanitized
@@ -73,3 +75,11 @@ def test_depths_that_are_nearly_one_fall_into_the_order_of_the_cpu(frames):
     gaussians.scales[:] = 0.1
     drawn, expected = (encode(gaussians, shown, fan, device=where).int() for where in ("webgpu", None))
     assert expected.float().std() > 10 and (drawn - expected).abs().max() <= 1
+
+
+def test_the_chunks_of_too_many_pairs_fit_into_one_dispatch():
+    """Depths of a photo in the default panel: the pass is split, and only then do its lists have room."""
+    room = Room([Pass(0, 240)])
+    found = Counters(188_000_000, 40_000, 0, 188_135, 0, 0, 0.0, 0, ())
+    room.grow(found, MOST_PAIRS)
+    assert MOST_PAIRS // CHUNK < room.chunks <= WORKGROUPS_ACROSS
