@@ -8,7 +8,7 @@ import torch
 from rasterizer_cases import panel, random_scene, rig
 
 from lightfield_gs import Encoder, encode
-from lightfield_gs.webgpu.parameters import WORKGROUPS_ACROSS
+from lightfield_gs.webgpu.pipelines import WORKGROUPS_ACROSS
 from lightfield_gs.webgpu.plans import CHUNK, MOST_PAIRS, Counters, Pass, Room
 
 # The drivers of GPUs are not ours, and what is drawn on the CPU is tested elsewhere
