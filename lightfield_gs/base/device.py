@@ -58,7 +58,7 @@ def free_memory(device: torch.device) -> int:
 def capture_graph(call: Callable[[], Any], *, warm_up: bool = False) -> tuple[torch.cuda.CUDAGraph, Any]:
     """Capture the launches of a call as a CUDA graph; a capture computes nothing.
 
-    Other threads may use the device meanwhile.
+    Other threads may use the device meanwhile. The graph has the priority of the current stream.
 
     Args:
         call: its launches are captured.
@@ -68,7 +68,8 @@ def capture_graph(call: Callable[[], Any], *, warm_up: bool = False) -> tuple[to
     Returns:
         The graph, and the result of the call, which each replay overwrites.
     """
-    stream = torch.cuda.Stream()  # an own pool: torch's pool belongs to the device that captured first
+    # an own pool: torch's pool belongs to the device that captured first
+    stream = torch.cuda.Stream(priority=torch.cuda.current_stream().priority)
     if warm_up:
         stream.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(stream):

@@ -198,11 +198,14 @@ class LiveScenes:
 
     @contextmanager
     def _stream(self) -> Iterator[Callable[[], None]]:
-        """Work on a stream of CUDA of its own within the block; yield what waits for it."""
+        """Work on a stream of CUDA of its own within the block; yield what waits for it.
+
+        Its many small launches go before the drawing's few large ones, between which they would wait.
+        """
         if self._device != "cuda":
             yield lambda: None
             return
-        stream = torch.cuda.Stream()
+        stream = torch.cuda.Stream(priority=-1)
         with torch.cuda.stream(stream):
             yield stream.synchronize
 

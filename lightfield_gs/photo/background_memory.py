@@ -50,53 +50,42 @@ class Remembered:
 class BackgroundMemory:
     """Remembers the farthest surface of each pixel, until the camera moves or the picture is cut.
 
-    Attributes:
-        resets: How often it began anew, beside the first time.
+    Pictures of one size are taken into the same memory, and nothing waits for the device: a graph can hold it.
     """
 
     def __init__(self) -> None:
         self._kept: Remembered | None = None
         self._first = torch.empty(0)  # the picture since which the camera stands still, small
         self._last = torch.empty(0)
-        self.resets = 0
 
     def update(self, colours: Tensor, disparity: Tensor, is_clear: Tensor) -> Remembered:
-        """Take a picture, and return what is remembered after it.
+        """Take a picture, and return what is remembered after it; the next picture changes it.
 
         Args:
             colours: [3, h, w], 0..1.
             disparity: [h, w], > 0.
             is_clear: bool [h, w], the pixels whose colours are of one surface: others are at an edge.
         """
-        small = _small(colours)
-        kept = self._kept
-        if kept is not None and (kept.disparity.shape != disparity.shape or self._has_moved(small)):
-            kept, self.resets = None, self.resets + 1
-        self._last = small
-        if kept is None:
-            self._first = small
+        small, kept = _small(colours), self._kept
+        if kept is None or kept.disparity.shape != disparity.shape:
+            self._first, self._last = small.clone(), small.clone()
             self._kept = Remembered(is_clear.clone(), disparity.clone(), colours.clone())
             return self._kept
+        begins = is_cut(self._last.movedim(0, 2), small.movedim(0, 2)) | has_moved(self._first.mean(0), small.mean(0))
         ratio = disparity / kept.disparity
-        is_new = is_clear & (~kept.is_known | (ratio < _C.farther))
+        is_new = begins | (is_clear & (~kept.is_known | (ratio < _C.farther)))
         is_same = is_clear & kept.is_known & (ratio >= _C.farther) & (ratio <= _C.nearer)
         weight = torch.where(is_new, 1.0, torch.where(is_same, _C.new, 0.0))
-        self._kept = Remembered(
-            kept.is_known | is_clear,
-            torch.lerp(kept.disparity, disparity, weight),
-            torch.lerp(kept.colours, colours, weight),
-        )
-        return self._kept
-
-    def _has_moved(self, small: Tensor) -> bool:
-        """Return whether the camera, or the whole picture, has changed since the first picture that is remembered."""
-        if is_cut(self._last.movedim(0, 2), small.movedim(0, 2)):
-            return True
-        return has_moved(self._first.mean(0), small.mean(0))
+        kept.is_known.copy_((kept.is_known & ~begins) | is_clear)
+        kept.disparity.lerp_(disparity, weight)
+        kept.colours.lerp_(colours, weight.expand_as(colours))
+        self._first.copy_(torch.where(begins, small, self._first))
+        self._last.copy_(small)
+        return kept
 
 
-def has_moved(before: Tensor, after: Tensor) -> bool:
-    """Return whether most of a picture [h, w], 0..1, is elsewhere in the second, or not in it.
+def has_moved(before: Tensor, after: Tensor) -> Tensor:
+    """Return whether most of a picture [h, w], 0..1, is elsewhere in the second, or not in it: a bool [].
 
     It is, where the second differs less from the first after a shift. Of each pixel only so much difference counts that
     things that move before what stands still do not decide.
@@ -105,8 +94,9 @@ def has_moved(before: Tensor, after: Tensor) -> bool:
     padded = pad(before[None], (across, across, down, down), value=torch.nan)[0]
     windows = padded.unfold(0, before.shape[0], 1).unfold(1, before.shape[1], 1)
     costs = (windows - after).abs().clamp(max=_C.most).nanmean((2, 3))
-    still, best, usual = torch.stack([costs[down, across], costs.min(), costs.median()]).tolist()
-    return best < _C.better * still or (usual > _C.visible and still > _C.unlike * usual)
+    still, ordered = costs[down, across], costs.flatten().sort().values
+    best, usual = ordered[0], ordered[(len(ordered) - 1) // 2]
+    return (best < _C.better * still) | ((usual > _C.visible) & (still > _C.unlike * usual))
 
 
 def _small(colours: Tensor) -> Tensor:

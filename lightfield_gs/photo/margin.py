@@ -194,7 +194,7 @@ def extend_with_margin(
     distance = torch.maximum((rows[:, None] - within[0]).abs(), (columns[None] - within[1]).abs()).to(depth)
     outside = distance > 0
     measured = torch.isfinite(depth)
-    disparity = torch.where(measured, 1 / depth, (1 / depth[measured]).median())[within]
+    disparity = torch.where(measured, 1 / depth, _middle(1 / depth, measured))[within]
     smooth, reached = disparity, 0
     for blur in _C.blurs_px:
         fraction = ((distance - reached) / (blur - reached)).clamp(0, 1)
@@ -211,6 +211,14 @@ def extend_with_margin(
     colours = complete(_mirror(image, rows, columns), outside, source, known.log())
     colours = torch.where(outside[..., None], colours.clamp(0, 1), image[within])
     return colours, torch.where(outside, 1 / known, depth[within]), outside
+
+
+def _middle(values: Tensor, known: Tensor) -> Tensor:
+    """Return the median of the known values, []; nothing waits for the device."""
+    if not values.is_cuda:
+        return values[known].median()  # a tenth of the time of sorting
+    ordered = torch.where(known, values, torch.inf).flatten().sort().values
+    return ordered.gather(0, ((known.sum() - 1) // 2).clamp(min=0)[None])[0]
 
 
 def _blurred(colours: Tensor, distance: Tensor, longer_px: int) -> Tensor:

@@ -101,7 +101,7 @@ def steadied(
     while True:
         while len(window) - at <= ahead and (entry := next(incoming, None)) is not None:
             number, estimate = entry
-            window.append((number, estimate, last is None or is_cut(last.colours, estimate.colours)))
+            window.append((number, estimate, last is None or bool(is_cut(last.colours, estimate.colours))))
             last = estimate
         if at >= len(window):
             return
@@ -113,23 +113,22 @@ def steadied(
             at -= 1
 
 
-def is_cut(before: Tensor, after: Tensor) -> bool:
-    """Return whether a shot ends between two pictures [h, w, 3], floats in 0..1.
+def is_cut(before: Tensor, after: Tensor) -> Tensor:
+    """Return whether a shot ends between two pictures [h, w, 3], floats in 0..1: a bool [], on their device.
 
     A pan changes the pixels but not the histogram; a change of the light does the reverse. A cut changes both, or all
     pixels.
     """
     if before.shape != after.shape:
-        return True
-    difference = float((before - after).abs().mean())
-    if not _C.cut_difference <= difference < _C.sure_difference:
-        return difference >= _C.sure_difference
+        return torch.ones((), dtype=torch.bool, device=after.device)
+    difference = (before - after).abs().mean()
     histograms = [
         torch.stack([torch.histc(part[..., channel], _C.histogram_bins, 0, 1) for channel in range(3)])
         for part in (before, after)
     ]
     moved = (histograms[0] - histograms[1]).abs().sum() / 2
-    return float(moved) >= _C.cut_histogram * 3 * before[..., 0].numel()
+    has_other_colours = moved >= _C.cut_histogram * 3 * before[..., 0].numel()
+    return (difference >= _C.sure_difference) | ((difference >= _C.cut_difference) & has_other_colours)
 
 
 def _shot(
@@ -145,36 +144,42 @@ def _shot(
 
 
 def _averaged(shot: list[PictureEstimate], own: PictureEstimate, has_scale: bool, is_measured: bool) -> PictureEstimate:
-    """Return one estimate of a shot, averaged with the others in its own scale and offset."""
-    total, weights = own.disparities.double(), torch.ones_like(own.disparities, dtype=torch.float64)
-    limits, scales = [own.ends], [1.0]
+    """Return one estimate of a shot, averaged with the others in its own scale and offset.
+
+    The host waits once for the device.
+    """
+    aim = own.disparities.double()
+    total, weights = aim.clone(), torch.ones_like(aim)
+    found = [aim.new_tensor([*own.ends, 1.0])]  # low, high, and the scale of the others' numbers
+    is_taken = [aim.new_ones(())]
     for other in shot:
         if other is own or other.disparities.shape != own.disparities.shape:
             continue
         change = (other.smooth - own.smooth).square().sum(2)
         weight = torch.exp(change.double() / (-2 * _C.colour_std**2))
-        if float(weight.mean()) < _C.least_weight:
-            continue
         values = other.disparities.double()
-        scale, offset = (1.0, 0.0) if is_measured else fit_scale(values, own.disparities.double(), weight, has_scale)
-        if not scale > 0:
-            continue
-        total += weight * (scale * other.disparities + offset)
+        scale, offset = aim.new_ones(()), aim.new_zeros(())
+        if not is_measured:
+            scale, offset = fit_scale(values, aim, weight, has_scale)
+        is_like = (weight.mean() >= _C.least_weight) & (scale > 0)
+        weight = torch.where(is_like, weight, 0)
+        total += torch.where(is_like, weight * (scale * values + offset), 0)
         weights += weight
-        low, high = other.ends
-        limits.append((scale * low + offset, scale * high + offset))
-        scales.append(1 / scale)
-    low, high = (sum(part) / len(limits) for part in zip(*limits))
-    common = sum(scales) / len(scales) if has_scale else 1.0
+        low, high = (scale * end + offset for end in other.ends)
+        found.append(torch.where(is_like, torch.stack([low, high, 1 / scale]), 0))
+        is_taken.append(is_like.to(aim))
+    low, high, common = (torch.stack(found).sum(0) / torch.stack(is_taken).sum()).tolist()
+    common = common if has_scale else 1.0
     return PictureEstimate((common * total / weights).float(), own.colours, (common * low, common * high))
 
 
-def fit_scale(values: Tensor, target: Tensor, weight: Tensor, has_scale: bool) -> tuple[float, float]:
-    """Return scale and offset by which values come closest to a target, in weighted squares."""
+def fit_scale(values: Tensor, target: Tensor, weight: Tensor, has_scale: bool) -> tuple[Tensor, Tensor]:
+    """Return scale and offset, [] each, by which values come closest to a target, in weighted squares."""
     if has_scale:
-        return float((weight * values * target).sum() / (weight * values.square()).sum().clamp(min=1e-30)), 0.0
+        scale = (weight * values * target).sum() / (weight * values.square()).sum().clamp(min=1e-30)
+        return scale, torch.zeros_like(scale)
     total = weight.sum()
     mean, aim = (weight * values).sum() / total, (weight * target).sum() / total
     spread = (weight * (values - mean).square()).sum()
-    scale = float((weight * (values - mean) * (target - aim)).sum() / spread) if float(spread) > 0 else 1.0
-    return scale, float(aim) - scale * float(mean)
+    scale = torch.where(spread > 0, (weight * (values - mean) * (target - aim)).sum() / spread, 1.0)
+    return scale, aim - scale * mean

@@ -150,10 +150,10 @@ def test_a_photo_with_depths_is_the_scene_of_the_cpu():
     for name, field in here.fields().items():
         found = there.fields()[name]
         assert torch.equal(found, again.fields()[name])
-        apart = (found.cpu() - field).abs().flatten(1) if field.ndim > 1 else (found.cpu() - field).abs()[:, None]
-        is_other = (apart > 2e-5 + 1e-4 * field.abs().reshape(apart.shape)).any(1)
+        apart = (found.cpu() - field).abs().reshape(len(field), -1) / (1 + field.abs().reshape(len(field), -1))
+        assert apart[: 60 * 90].max() < 5e-5 and (name == "sh" or apart.max() < 5e-5), name
         # Of two patches behind the disc that fit as well, each device may take another
-        assert not is_other[: 60 * 90].any() and is_other.float().mean() < (0.02 if name == "sh" else 1e-6), name
+        assert torch.quantile(apart[60 * 90 :], 0.9) < 0.01, (name, torch.quantile(apart[60 * 90 :], torch.arange(0.1, 1.01, 0.1)))
 
 
 @pytest.mark.parametrize("name", png_cases.IMAGES)

@@ -29,7 +29,7 @@ export class Room {
   grow(found, most) {
     this.pairs = Math.max(this.pairs ?? 0, Math.min(Math.floor(SLACK * found.pairs) + LEAST_PAIRS, most));
     if (!found.chunks) return;
-    this.chunks = Math.max(this.chunks, Math.floor(SLACK * found.chunks) + 1);
+    this.chunks = Math.max(this.chunks, Math.min(Math.floor(SLACK * found.chunks) + 1, Math.floor((2 * most) / CHUNK)));
     const runs = Math.floor(Math.max(found.longest - 1, 0) / CHUNK), bits = runs ? Math.floor(Math.log2(runs)) + 1 : 0;
     this.merges = Math.max(this.merges, bits + (bits % 2));
   }
