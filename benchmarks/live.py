@@ -139,9 +139,10 @@ def row(way: str, panel: Panel, given: Options) -> dict[str, Any]:
         parameters = 0
         photo = PhotoOptions()
         if way == "depth":
-            shorter = given.network_px or NETWORK_PX[given.device]
-            parameters = stack.enter_context(stand_in(given.device, shorter)).parameters
-            photo = PhotoOptions(depth=AUTO, depth_model="stand-in")
+            photo = PhotoOptions(depth=AUTO, depth_model=given.depth_model or "stand-in")
+            if given.depth_model is None:
+                shorter = given.network_px or NETWORK_PX[given.device]
+                parameters = stack.enter_context(stand_in(given.device, shorter)).parameters
         source = MadeClip(way, rate)
         reader = Reader(source, health.has_taken, options.progress)
         scenes = LiveScenes(source, photo, RenderOptions(), LookOptions(), panel, given.device, detail, health)
@@ -217,7 +218,8 @@ class Options(options.PanelOptions):
         fps: To hold: pictures become smaller for it.
         pixels: Of a picture. None: as `live` has it.
         quality: Of the drawing. None: as `live` has it.
-        network_px: Shorter side of what the network for depths sees. None: that of NETWORK_PX.
+        depth_model: A network for depths, as `live` takes it. None: the stand-in.
+        network_px: Shorter side of what the stand-in sees. None: that of NETWORK_PX.
         on_device: Whether the panel's pictures stay on the device, as for a window.
         webgpu: Whether WebGPU draws the scenes, which the CPU makes.
     """
@@ -229,6 +231,7 @@ class Options(options.PanelOptions):
     fps: float = 30.0
     pixels: int | None = None
     quality: QualityName | None = None
+    depth_model: str | None = None
     network_px: int | None = None
     on_device: bool = False
     webgpu: bool = False
@@ -246,10 +249,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pixels", type=whole(10_000, 1_500_000), metavar="N", help="as of `live`")
     parser.add_argument("--quality", choices=QUALITY_NAMES, help="as of `live`")
     parser.add_argument(
+        "--depth-model",
+        metavar="NAME",
+        help="a network for depths, its name or folder (default: one of random weights, of the size of Depth Anything "
+        "V2 Small)",
+    )
+    parser.add_argument(
         "--network-px",
         type=whole(14, 2000),
         metavar="N",
-        help=f"shorter side of what the network sees (default: {NETWORK_PX['cuda']}, on the CPU {NETWORK_PX['cpu']})",
+        help=f"shorter side of what that network sees (default: {NETWORK_PX['cuda']}, on the CPU {NETWORK_PX['cpu']})",
     )
     parser.add_argument("--on-device", action="store_true", help="do not copy the panel's pictures to the host")
     parser.add_argument("--webgpu", action="store_true", help="draw by WebGPU what the CPU makes")

@@ -37,7 +37,7 @@ def in_windows(
             yield number, PictureEstimate.of(values, _floats(picture))
 
     for number, picture in pictures:
-        ends = bool(window) and is_cut(*(torch.from_numpy(_floats(part)) for part in (window[-1][1], picture)))
+        ends = bool(window) and bool(is_cut(*(torch.from_numpy(_floats(part)) for part in (window[-1][1], picture))))
         if ends or len(window) == at_once:
             known = _continued(known, disparities([part for _, part in window]), has_scale)
             done = len(window) if ends else len(window) - _OVERLAP
@@ -53,7 +53,7 @@ def _continued(known: list[Tensor], values: list[Tensor], has_scale: bool) -> li
     """Return the maps of a window in the scale of the known ones at its beginning, which fade into them."""
     if not known:
         return values
-    before, after = torch.stack(known).double(), torch.stack(values[: len(known)]).double()
+    before, after = (torch.stack(part).double().flatten() for part in (known, values[: len(known)]))
     scale, offset = fit_scale(after, before, torch.ones_like(after), has_scale)
     values = [scale * part + offset for part in values] if scale > 0 else values
     fading = [torch.lerp(old, new, (i + 1) / (len(known) + 1)) for i, (old, new) in enumerate(zip(known, values))]

@@ -146,40 +146,39 @@ def _shot(
 def _averaged(shot: list[PictureEstimate], own: PictureEstimate, has_scale: bool, is_measured: bool) -> PictureEstimate:
     """Return one estimate of a shot, averaged with the others in its own scale and offset.
 
-    The host waits once for the device.
+    All others are taken at once, and the host waits once for the device.
     """
-    aim = own.disparities.double()
-    total, weights = aim.clone(), torch.ones_like(aim)
-    found = [aim.new_tensor([*own.ends, 1.0])]  # low, high, and the scale of the others' numbers
-    is_taken = [aim.new_ones(())]
-    for other in shot:
-        if other is own or other.disparities.shape != own.disparities.shape:
-            continue
-        change = (other.smooth - own.smooth).square().sum(2)
-        weight = torch.exp(change.double() / (-2 * _C.colour_std**2))
-        values = other.disparities.double()
-        scale, offset = aim.new_ones(()), aim.new_zeros(())
-        if not is_measured:
-            scale, offset = fit_scale(values, aim, weight, has_scale)
-        is_like = (weight.mean() >= _C.least_weight) & (scale > 0)
-        weight = torch.where(is_like, weight, 0)
-        total += torch.where(is_like, weight * (scale * values + offset), 0)
-        weights += weight
-        low, high = (scale * end + offset for end in other.ends)
-        found.append(torch.where(is_like, torch.stack([low, high, 1 / scale]), 0))
-        is_taken.append(is_like.to(aim))
-    low, high, common = (torch.stack(found).sum(0) / torch.stack(is_taken).sum()).tolist()
+    aim = own.disparities
+    others = [other for other in shot if other is not own and other.disparities.shape == aim.shape]
+    if not others:
+        return PictureEstimate(aim, own.colours, own.ends)
+    values, colours = (torch.stack(parts) for parts in zip(*((part.disparities, part.smooth) for part in others)))
+    weight = torch.exp((colours - own.smooth).square().sum(3) / (-2 * _C.colour_std**2))
+    scale, offset = torch.ones(len(others), dtype=torch.float64, device=aim.device), 0.0
+    if not is_measured:
+        scale, offset = fit_scale(values.flatten(1), aim.flatten(), weight.flatten(1), has_scale)
+    is_like = (weight.mean((1, 2)) >= _C.least_weight) & (scale > 0)
+    scale, offset = torch.where(is_like, scale, 1.0), torch.where(is_like, offset, 0.0)
+    weight = torch.where(is_like[:, None, None], weight, 0)
+    moved = scale.float()[:, None, None] * values + offset.float()[:, None, None]
+    total, weights = aim + (weight * moved).sum(0), 1 + weight.sum(0)
+    low, high = scale.new_tensor([other.ends for other in others]).T
+    found = torch.stack([scale * low + offset, scale * high + offset, 1 / scale]) * is_like
+    ends = (found.sum(1) + scale.new_tensor([*own.ends, 1.0])) / (1 + is_like.sum())
+    first, last, common = ends.tolist()
     common = common if has_scale else 1.0
-    return PictureEstimate((common * total / weights).float(), own.colours, (common * low, common * high))
+    return PictureEstimate(common * total / weights, own.colours, (common * first, common * last))
 
 
 def fit_scale(values: Tensor, target: Tensor, weight: Tensor, has_scale: bool) -> tuple[Tensor, Tensor]:
-    """Return scale and offset, [] each, by which values come closest to a target, in weighted squares."""
+    """Return scale and offset, double [...], by which values [..., M] come closest to a target, in weighted squares."""
+    total = lambda parts: parts.sum(-1, dtype=torch.float64)
     if has_scale:
-        scale = (weight * values * target).sum() / (weight * values.square()).sum().clamp(min=1e-30)
+        scale = total(weight * values * target) / total(weight * values.square()).clamp(min=1e-30)
         return scale, torch.zeros_like(scale)
-    total = weight.sum()
-    mean, aim = (weight * values).sum() / total, (weight * target).sum() / total
-    spread = (weight * (values - mean).square()).sum()
-    scale = torch.where(spread > 0, (weight * (values - mean) * (target - aim)).sum() / spread, 1.0)
+    whole = total(weight)
+    mean, aim = total(weight * values) / whole, total(weight * target) / whole
+    apart = values - mean.to(values)[..., None]
+    spread = total(weight * apart.square())
+    scale = torch.where(spread > 0, total(weight * apart * (target - aim.to(values)[..., None])) / spread, 1.0)
     return scale, aim - scale * mean

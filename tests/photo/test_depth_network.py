@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from command_line import complaint
 
 import lightfield_gs as lf
@@ -88,6 +89,20 @@ def test_a_photo_becomes_a_scene_through_the_pipeline(folder, capsys, transforme
     panel = lf.Panel.load("p.yaml")
     subject = focus_on_subject(frame_photo(scene, panel), scene, panel).zero_depth
     assert lf.Rig.from_yaml("r.yaml").zero_depth == pytest.approx(subject, rel=0.02)
+
+
+def test_pictures_go_to_the_network_as_through_its_pipeline(folder, transformers):
+    """Without the pipeline's work on the host; enlarged, reduced, and of a shape that is no multiple of a patch."""
+    network = open_model(tiny_network(transformers, "net"), "cpu")
+    whole = transformers.pipeline("depth-estimation", model="net", device="cpu")
+    for height, width in ((70, 126), (56, 112), (40, 61)):
+        picture = np.random.default_rng(1).integers(0, 256, (height, width, 3), np.uint8)
+        with torch.no_grad():
+            (found,) = network.predict([picture])
+            expected = whole(Image.fromarray(picture))["predicted_depth"]
+        assert found.values.shape == (height, width)
+        torch.testing.assert_close(found.values, expected, atol=0, rtol=2e-3)
+    assert network.shrink(picture).shape == picture.shape and network.shrink(busy_photo()).shape == (56, 70, 3)
 
 
 def test_metric_networks_give_distances(folder, transformers):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -12,7 +13,7 @@ from torch import Tensor
 from lightfield_gs.base.options import DepthKind
 from lightfield_gs.photo.depth import far_distance
 
-_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet's colours, which all of them expect
+_MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet's colours, which most of them expect
 _FARTHEST = 0.99  # quantile of the distances that counts as the farthest: single pixels at edges are wrong
 
 
@@ -57,11 +58,13 @@ def resized(
     return np.asarray(Image.fromarray(pixels).resize((width, height), how))
 
 
-def normalized(pictures: list[np.ndarray], device: torch.device) -> Tensor:
-    """Return pictures, uint8 [h, w, 3] of one size, as [B, 3, h, w] of mean 0 and deviation 1."""
+def normalized(
+    pictures: list[np.ndarray], device: torch.device, mean: Sequence[float] = _MEAN, std: Sequence[float] = _STD
+) -> Tensor:
+    """Return pictures, uint8 [h, w, 3] of one size, as [B, 3, h, w], from which the mean is taken, by the deviation."""
     images = torch.from_numpy(np.stack(pictures)).to(device).float().movedim(3, 1) / 255
-    mean, std = (torch.tensor(values, device=device)[:, None, None] for values in (_MEAN, _STD))
-    return (images - mean) / std
+    middle, unit = (torch.tensor(tuple(values), device=device)[:, None, None] for values in (mean, std))
+    return (images - middle) / unit
 
 
 def with_sky(distances: Tensor, is_sky: Tensor, focal: float | None = None) -> Prediction:
