@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
 from lightfield_gs.base.options import DepthKind
-from lightfield_gs.photo.depth_models.model import Prediction, normalized, resized
+from lightfield_gs.photo.depth_models.model import Pixels, Prediction, normalized, resized
 
 _PATCH_PX = 14
 _CHANNELS, _HEADS, _BLOCKS, _FEATURES = 384, 6, 12, 64
@@ -77,6 +77,7 @@ class DepthStandIn:
     family = "stand-in with random weights"
     kind: DepthKind | None = "disparity"
     at_once = 1
+    never_waits = True
 
     def __init__(self, device: str, shorter_px: int):
         torch.manual_seed(0)
@@ -87,13 +88,13 @@ class DepthStandIn:
             self._network = _Network().eval().to(self._device, self._type)
         self.parameters = sum(part.numel() for part in self._network.parameters())
 
-    def shrink(self, pixels: np.ndarray) -> np.ndarray:
+    def shrink(self, pixels: Pixels) -> Pixels:
         """See DepthModel."""
         scale = self._shorter_px / min(pixels.shape[:2])
         height, width = (max(1, round(side * scale / _PATCH_PX)) * _PATCH_PX for side in pixels.shape[:2])
         return resized(pixels, height, width)
 
-    def predict(self, pictures: list[np.ndarray]) -> list[Prediction]:
+    def predict(self, pictures: Sequence[Pixels]) -> list[Prediction]:
         """See DepthModel."""
         images = normalized(pictures, self._device)
         numbers = self._network(images.to(self._type)).float()

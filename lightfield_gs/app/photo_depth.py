@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from lightfield_gs.io.images import Picture
     from lightfield_gs.photo.depth import DepthMap, DepthNumbers
+    from lightfield_gs.photo.depth_models.model import Pixels
     from lightfield_gs.photo.photo import Photo
     from lightfield_gs.photo.steady_depth import PictureEstimate
 
@@ -72,15 +73,18 @@ def steady_estimates(
     return steadied(estimates, is_metric(model, on, options.depth_kind), ahead=ahead)
 
 
-def network_picture(pixels: np.ndarray, options: PhotoOptions, device: str) -> np.ndarray:
-    """Return a picture as the network of --depth auto sees it, for `steady_pictures`. Raises InputError."""
+def network_picture(pixels: np.ndarray | Tensor, options: PhotoOptions, device: str) -> Pixels:
+    """Return a picture as the network of --depth auto sees it, for `steady_pictures`. Raises InputError.
+
+    A tensor on CUDA, uint8 [H, W, 3], stays there.
+    """
     from lightfield_gs.photo.depth_network import shrink_picture
 
     return shrink_picture(pixels, options.depth_network, _network_device(device), options.depth_kind)
 
 
 def steady_pictures(
-    pictures: Iterable[tuple[int, np.ndarray]], options: PhotoOptions, device: str
+    pictures: Iterable[tuple[int, Pixels]], options: PhotoOptions, device: str
 ) -> Iterator[tuple[int, Callable[[Tensor], Tensor]]]:
     """Yield for pictures in a row what gives their z, each averaged with those before it; none waits for the next.
 

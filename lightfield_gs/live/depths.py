@@ -17,6 +17,7 @@ from lightfield_gs.live.objects import to_device
 from lightfield_gs.live.rgbd_cameras import RgbdPicture
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.photo.background_memory import BackgroundMemory
+from lightfield_gs.photo.depth_models.model import Pixels
 from lightfield_gs.photo.joint_upsampling import measured_to_photo
 from lightfield_gs.photo.quick_layers import QuickLayers
 from lightfield_gs.photo.rgbd import known_camera
@@ -62,33 +63,31 @@ class LiveDepths:
             pixels = read.photo.pixels
             if read.depth is not None:
                 return Photographed(pixels, z=read.depth.z)
-        return Photographed(pixels, seen=network_picture(pixels, self._photo, self._device.type))
+        return Photographed(pixels)
 
     def __call__(self, pictures: Iterable[tuple[int, Photographed]]) -> Iterator[tuple[int, Gaussians]]:
         """Yield the Gaussians of numbered pictures; their count changes with the pictures' size alone."""
         if self._is_measured or self._photo.depth != AUTO:
             for number, read in pictures:
                 assert read.z is not None
-                image, z = self._image(read), torch.from_numpy(read.z).to(self._device)
+                image, z = (to_device(part, self._device) for part in (read.pixels, read.z))
+                image = _as_floats(image)
                 if z.shape != image.shape[:2]:
                     z = measured_to_photo(z, image[..., :3])
                 yield number, self._scene(image, z, read.camera)
             return
         pending: dict[int, torch.Tensor] = {}
 
-        def images() -> Iterator[tuple[int, np.ndarray]]:
+        def images() -> Iterator[tuple[int, Pixels]]:
             for number, read in pictures:
-                pending[number] = self._image(read)
-                assert read.seen is not None
-                yield number, read.seen
+                taken = to_device(read.pixels, self._device)
+                pending[number] = _as_floats(taken)
+                seen = taken if taken.is_cuda and _is_plain(read.pixels) else read.pixels
+                yield number, network_picture(seen, self._photo, self._device.type)
 
         for number, find_z in steady_pictures(images(), self._photo, self._device.type):
             image = pending.pop(number)
             yield number, self._scene(image, find_z(image[..., :3]))
-
-    def _image(self, read: Photographed) -> torch.Tensor:
-        values = to_device(read.pixels, self._device)
-        return values / 255 if values.dtype == torch.uint8 else values
 
     def _scene(self, image: torch.Tensor, z: torch.Tensor, camera: Camera | None = None) -> Gaussians:
         height, width = z.shape
@@ -107,13 +106,11 @@ class Photographed(NamedTuple):
     Attributes:
         pixels: [H, W, 3 or 4], uint8, or float32 in 0..1.
         z: [H, W], scene units. None: a network estimates it.
-        seen: What that network sees, see `network_picture`.
         camera: Focal lengths and principal point, pixels. None: those of the options.
     """
 
     pixels: np.ndarray
     z: np.ndarray | None = None
-    seen: np.ndarray | None = None
     camera: Camera | None = None
 
 
@@ -121,6 +118,10 @@ def settled_camera(photo: PhotoOptions, height: int, width: int) -> Camera:
     """Return the focal lengths and the principal point of pictures of a size, by the options."""
     focal, centre, _, _ = depth_camera(photo, height, width, None)
     return known_camera(focal, centre, height, width)
+
+
+def _as_floats(values: torch.Tensor) -> torch.Tensor:
+    return values / 255 if values.dtype == torch.uint8 else values
 
 
 def _is_plain(pixels: np.ndarray) -> bool:

@@ -17,7 +17,7 @@ from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DEPTH_MODEL, DEVICES, DepthKind, Device
 from lightfield_gs.photo.depth import DepthMap
 from lightfield_gs.photo.depth_models.folder import OTHER_WAY, model_folder, short_message
-from lightfield_gs.photo.depth_models.model import DepthModel, Prediction
+from lightfield_gs.photo.depth_models.model import DepthModel, Pixels, Prediction, ReplayedModel
 from lightfield_gs.photo.depth_models.open import open_model
 from lightfield_gs.photo.depth_models.weights import WrongWeights
 from lightfield_gs.photo.depth_windows import in_windows
@@ -84,7 +84,7 @@ def estimated_depth(
     limits = _checked_options(kind, device, model, limits)
     network, kind = _open(model, device, kind, limits, say)
     pixels = _to_pixels(image)
-    (found,) = _predict(model, network, [network.shrink(pixels)])
+    (found,) = _predict(model, network.family, network.predict, [network.shrink(pixels)])
     depth = _as_depth_map(pixels, model, kind, found.values, limits, None)
     if found.focal is not None:
         depth.focal_px = found.focal * pixels.shape[1]
@@ -111,20 +111,28 @@ def estimate_pictures(
     return estimate_shrunk(shrunk, model, device, kind=kind)
 
 
-def shrink_picture(image: np.ndarray, model: str | Path, device: Device, kind: str | None) -> np.ndarray:
-    """Return a picture at the size that the network sees, uint8 [h, w, 3]; the arguments as of estimate_pictures."""
+def shrink_picture(image: np.ndarray | Tensor, model: str | Path, device: Device, kind: str | None) -> Pixels:
+    """Return a picture at the size that the network sees, uint8 [h, w, 3].
+
+    Args:
+        image: As of depth_from_network. A tensor on CUDA, uint8 [H, W, 3], stays there.
+        model: See depth_from_network.
+        device: See depth_from_network.
+        kind: See depth_from_network.
+    """
     network, _ = _open(model, device, kind, None, None)
-    return network.shrink(_to_pixels(image))
+    return network.shrink(image if isinstance(image, Tensor) and image.is_cuda else _to_pixels(image))
 
 
 def estimate_shrunk(
-    pictures: Iterable[tuple[int, np.ndarray]], model: str | Path, device: Device, *, kind: str | None
+    pictures: Iterable[tuple[int, Pixels]], model: str | Path, device: Device, *, kind: str | None
 ) -> Iterator[tuple[int, PictureEstimate]]:
     """Yield the network's numbers for pictures of `shrink_picture`; the rest as of estimate_pictures."""
     network, kind = _open(model, device, kind, None, None)
+    replayed = ReplayedModel(network)
 
-    def disparities(pictures: list[np.ndarray]) -> list[Tensor]:
-        values = [found.values for found in _predict(model, network, pictures)]
+    def disparities(pictures: list[Pixels]) -> list[Tensor]:
+        values = [found.values for found in _predict(model, network.family, replayed.predict, pictures)]
         return values if kind == "disparity" else [distances_to_z(part).disparities for part in values]
 
     if network.at_once > 1:
@@ -215,14 +223,16 @@ def _open(
 
 
 @torch.no_grad()
-def _predict(model: str | Path, network: DepthModel, pictures: list[np.ndarray]) -> list[Prediction]:
-    """Return the network's numbers for pictures in a row, float32; raise InputError."""
+def _predict(
+    model: str | Path, family: str, predict: Callable[[list[Pixels]], list[Prediction]], pictures: list[Pixels]
+) -> list[Prediction]:
+    """Return a network's numbers for pictures in a row, float32; raise InputError."""
     exact = torch.backends.cudnn.flags(enabled=True, benchmark=False, deterministic=True, allow_tf32=False)
     try:
         with exact:
-            found = network.predict(pictures)
+            found = predict(pictures)
     except WrongWeights as error:
-        raise InputError(f"depth_model=: expected the weights of {network.family}, got {model}: {error}") from None
+        raise InputError(f"depth_model=: expected the weights of {family}, got {model}: {error}") from None
     except RuntimeError as error:
         raise InputError(f"{model} could not estimate the depth of this photo: {short_message(error)}") from None
     if not all(bool(torch.isfinite(part.values).all()) for part in found):

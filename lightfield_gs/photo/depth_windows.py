@@ -8,14 +8,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lightfield_gs.photo.depth_models.model import Pixels
 from lightfield_gs.photo.steady_depth import PictureEstimate, fit_scale, is_cut
 
 _OVERLAP = 8  # pictures that a window shares with the one before
 
 
 def in_windows(
-    pictures: Iterable[tuple[int, np.ndarray]],
-    disparities: Callable[[list[np.ndarray]], list[Tensor]],
+    pictures: Iterable[tuple[int, Pixels]],
+    disparities: Callable[[list[Pixels]], list[Tensor]],
     at_once: int,
     has_scale: bool,
 ) -> Iterator[tuple[int, PictureEstimate]]:
@@ -29,15 +30,15 @@ def in_windows(
         at_once: Pictures of a window, at most.
         has_scale: Whether the disparities are of distances: then they are fitted by their scale alone.
     """
-    window: list[tuple[int, np.ndarray]] = []
+    window: list[tuple[int, Pixels]] = []
     known: list[Tensor] = []  # disparities of the window's first pictures
 
     def estimates(count: int) -> Iterator[tuple[int, PictureEstimate]]:
         for (number, picture), values in zip(window[:count], known):
-            yield number, PictureEstimate.of(values, _floats(picture))
+            yield number, PictureEstimate.of(values, picture)
 
     for number, picture in pictures:
-        ends = bool(window) and bool(is_cut(*(torch.from_numpy(_floats(part)) for part in (window[-1][1], picture))))
+        ends = bool(window) and bool(is_cut(_floats(window[-1][1]), _floats(picture)))
         if ends or len(window) == at_once:
             known = _continued(known, disparities([part for _, part in window]), has_scale)
             done = len(window) if ends else len(window) - _OVERLAP
@@ -60,5 +61,5 @@ def _continued(known: list[Tensor], values: list[Tensor], has_scale: bool) -> li
     return fading + values[len(known) :]
 
 
-def _floats(picture: np.ndarray) -> np.ndarray:
-    return picture.astype(np.float32) / 255
+def _floats(picture: Pixels) -> Tensor:
+    return (torch.from_numpy(picture) if isinstance(picture, np.ndarray) else picture) / 255

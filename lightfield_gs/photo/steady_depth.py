@@ -56,9 +56,10 @@ class PictureEstimate:
     limits: tuple[float, float] | None = None
 
     @classmethod
-    def of(cls, disparities: Tensor, photo: np.ndarray) -> PictureEstimate:
+    def of(cls, disparities: Tensor, photo: np.ndarray | Tensor) -> PictureEstimate:
         """Return the estimate of a photo [H, W, 3 or more], uint8 or floats in 0..1."""
-        picture = torch.from_numpy(np.array(photo[..., :3])).to(disparities.device).movedim(2, 0)[None]
+        pixels = photo[..., :3] if isinstance(photo, Tensor) else torch.from_numpy(np.array(photo[..., :3]))
+        picture = pixels.to(disparities.device).movedim(2, 0)[None]
         picture = picture / 255 if picture.dtype == torch.uint8 else picture
         if picture.shape[2:] != disparities.shape:
             picture = interpolate(picture, size=disparities.shape, mode="area")
@@ -154,7 +155,8 @@ def _averaged(shot: list[PictureEstimate], own: PictureEstimate, has_scale: bool
         return PictureEstimate(aim, own.colours, own.ends)
     values, colours = (torch.stack(parts) for parts in zip(*((part.disparities, part.smooth) for part in others)))
     weight = torch.exp((colours - own.smooth).square().sum(3) / (-2 * _C.colour_std**2))
-    scale, offset = torch.ones(len(others), dtype=torch.float64, device=aim.device), 0.0
+    scale = torch.ones(len(others), dtype=torch.float64, device=aim.device)
+    offset = torch.zeros_like(scale)
     if not is_measured:
         scale, offset = fit_scale(values.flatten(1), aim.flatten(), weight.flatten(1), has_scale)
     is_like = (weight.mean((1, 2)) >= _C.least_weight) & (scale > 0)

@@ -153,7 +153,10 @@ def test_a_photo_with_depths_is_the_scene_of_the_cpu():
         apart = (found.cpu() - field).abs().reshape(len(field), -1) / (1 + field.abs().reshape(len(field), -1))
         assert apart[: 60 * 90].max() < 5e-5 and (name == "sh" or apart.max() < 5e-5), name
         # Of two patches behind the disc that fit as well, each device may take another
-        assert torch.quantile(apart[60 * 90 :], 0.9) < 0.01, (name, torch.quantile(apart[60 * 90 :], torch.arange(0.1, 1.01, 0.1)))
+        assert torch.quantile(apart[60 * 90 :], 0.9) < 0.01, (
+            name,
+            torch.quantile(apart[60 * 90 :], torch.arange(0.1, 1.01, 0.1)),
+        )
 
 
 @pytest.mark.parametrize("name", png_cases.IMAGES)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from depth_weights import FEATURES, depth_anything_3, filled, in_time, moge_2, video_depth_anything
+from PIL import Image
 from torch import nn
 
 from lightfield_gs import cli
@@ -14,6 +15,7 @@ from lightfield_gs.io.images import write_image
 from lightfield_gs.panels.panel import Panel
 from lightfield_gs.panels.rig import Rig
 from lightfield_gs.photo.depth_models.depth_anything_3 import DepthAnything3
+from lightfield_gs.photo.depth_models.model import normalized, resized
 from lightfield_gs.photo.depth_models.moge import MoGe2
 from lightfield_gs.photo.depth_models.open import open_model
 from lightfield_gs.photo.depth_models.video_depth_anything import VideoDepthAnything
@@ -152,3 +154,15 @@ def test_weights_of_another_network_are_refused(tmp_path):
     torch.save({"model": {}}, tmp_path / "model.pt")
     with pytest.raises(InputError, match="expected the weights of MoGe-2"):
         depth_from_network(picture(42, 84), tmp_path, "cpu")
+
+
+@pytest.mark.parametrize(
+    ("size", "how"), [((42, 70), Image.Resampling.BICUBIC), ((90, 140), Image.Resampling.BILINEAR)]
+)
+def test_tensors_are_resized_as_pictures_are(size, how):
+    """Pillow rounds between its two passes."""
+    wide = picture(64, 96)
+    found = resized(torch.from_numpy(wide), *size, how)
+    expected = np.asarray(Image.fromarray(wide).resize(size[::-1], how))
+    assert found.dtype == torch.uint8 and np.abs(found.numpy().astype(int) - expected).max() <= 1
+    assert torch.equal(normalized([found], found.device), normalized([found.numpy()], found.device))

@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 from command_line import complaint
+from PIL import Image
 
 import lightfield_gs as lf
 from lightfield_gs import cli

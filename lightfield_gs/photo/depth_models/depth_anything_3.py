@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from lightfield_gs.base.options import DepthKind
 from lightfield_gs.photo.depth_models import dpt, vit
-from lightfield_gs.photo.depth_models.model import Prediction, normalized, resized, with_sky
+from lightfield_gs.photo.depth_models.model import Pixels, Prediction, normalized, resized, with_sky
 from lightfield_gs.photo.depth_models.weights import Weights, in_float32, read_tensors
 
 _LONGER_PX = 504  # side of the picture in its training
@@ -25,6 +25,7 @@ class DepthAnything3:
     family = "Depth Anything 3 for single pictures (DA3MONO-LARGE)"
     kind: DepthKind | None = "distance"
     at_once = 1
+    never_waits = False
 
     def __init__(self, folder: Path, device: str) -> None:
         tensors = in_float32(read_tensors(next(folder.glob("*.safetensors")), device))
@@ -33,7 +34,7 @@ class DepthAnything3:
         facts = json.loads((folder / "config.json").read_text())
         self._layers = facts.get("config", {}).get("net", {}).get("out_layers", _LAYERS)
 
-    def shrink(self, pixels: np.ndarray) -> np.ndarray:
+    def shrink(self, pixels: Pixels) -> Pixels:
         """Return a picture at the size that the network sees."""
         factor = _LONGER_PX / max(pixels.shape)
         height, width = (
@@ -41,14 +42,14 @@ class DepthAnything3:
         )
         return resized(pixels, height, width)
 
-    def predict(self, pictures: list[np.ndarray]) -> list[Prediction]:
+    def predict(self, pictures: Sequence[Pixels]) -> list[Prediction]:
         """Return the distances, the sky behind everything."""
         return [self._predict_one(picture) for picture in pictures]
 
-    def _predict_one(self, picture: np.ndarray) -> Prediction:
+    def _predict_one(self, picture: Pixels) -> Prediction:
         maps, _ = vit.features(self._vit, normalized([picture], self._device), self._layers, _LAST_EPS)
         levels = [dpt.level(self._head, number, seen) for number, seen in enumerate(maps)]
-        x = dpt.finest(self._head, dpt.fused_levels(self._head, levels), picture.shape[:2])
+        x = dpt.finest(self._head, dpt.fused_levels(self._head, levels), (picture.shape[0], picture.shape[1]))
         distances = dpt.output(self._head, "output_conv2", x)[0].exp()
         sky = dpt.output(self._head, "sky_output_conv2", x)[0]
         return with_sky(distances, sky >= _SKY)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from torch import Tensor
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DepthKind
 from lightfield_gs.photo.depth_models import vit
-from lightfield_gs.photo.depth_models.model import Prediction, normalized, resized, with_sky
+from lightfield_gs.photo.depth_models.model import Pixels, Prediction, normalized, resized, with_sky
 from lightfield_gs.photo.depth_models.weights import Weights, WrongWeights, in_float32, read_tensors
 
 _LEVELS = 5
@@ -34,6 +35,7 @@ class MoGe2:
     family = "MoGe-2"
     kind: DepthKind | None = "distance"
     at_once = 1
+    never_waits = False
 
     def __init__(self, path: Path, device: str) -> None:
         stored = read_tensors(path, device)
@@ -48,15 +50,15 @@ class MoGe2:
         count = self._vit.count("blocks")
         self._layers = range(count - layers, count) if isinstance(layers, int) else layers
 
-    def shrink(self, pixels: np.ndarray) -> np.ndarray:
+    def shrink(self, pixels: Pixels) -> Pixels:
         """Return the picture as it is: the network has to know its shape."""
         return pixels
 
-    def predict(self, pictures: list[np.ndarray]) -> list[Prediction]:
+    def predict(self, pictures: Sequence[Pixels]) -> list[Prediction]:
         """Return the distances and the focal lengths."""
         return [self._predict_one(picture) for picture in pictures]
 
-    def _predict_one(self, picture: np.ndarray) -> Prediction:
+    def _predict_one(self, picture: Pixels) -> Prediction:
         height, width = picture.shape[:2]
         patches = max(self._config.get("num_tokens_range", _PATCHES))
         rows, columns = (max(1, round(math.sqrt(patches * ratio))) for ratio in (height / width, width / height))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from torch.nn.functional import interpolate
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DepthKind
 from lightfield_gs.photo.depth_models.folder import not_installed, short_message
-from lightfield_gs.photo.depth_models.model import Prediction, normalized, resized
+from lightfield_gs.photo.depth_models.model import Pixels, Prediction, normalized, resized
 
 _USUAL_SIDE_PX = 518  # of the network's input, where its processor does not state it
 # Numbers of model families whose configuration does not state their kind
@@ -28,6 +28,7 @@ _KINDS: dict[str, DepthKind] = {
     "tipsv2_dpt": "distance",
     "zoedepth": "distance",
 }
+_NEVER_WAIT = ("depth_anything",)  # families whose launches a graph held on an H200
 
 
 class Pipeline:
@@ -60,9 +61,10 @@ class Pipeline:
         config = self._run.model.config
         self.family, self.kind = config.model_type, numbers_kind(config)
         self._is_plain = _is_plain(self._run.image_processor)
+        self.never_waits = self._is_plain and config.model_type in _NEVER_WAIT
         self._seen: dict[tuple[int, int], tuple[int, int]] = {}  # sizes that the network sees, by pictures' own
 
-    def shrink(self, pixels: np.ndarray) -> np.ndarray:
+    def shrink(self, pixels: Pixels) -> Pixels:
         """Return a picture no larger than the network sees it."""
         height, width = pixels.shape[:2]
         factor = _side_px(self._run.image_processor) / min(height, width)
@@ -72,19 +74,20 @@ class Pipeline:
             return resized(pixels, *self._seen_size(height, width))
         return resized(pixels, max(1, round(factor * height)), max(1, round(factor * width)))
 
-    def predict(self, pictures: list[np.ndarray]) -> list[Prediction]:
+    def predict(self, pictures: Sequence[Pixels]) -> list[Prediction]:
         """Return the numbers of pictures."""
         with _quiet(), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             maps = [self._plainly(part) if self._is_plain else self._by_pipeline(part) for part in pictures]
         return [Prediction(values.reshape(values.shape[-2:])) for values in maps]
 
-    def _by_pipeline(self, picture: np.ndarray) -> Tensor:
+    def _by_pipeline(self, picture: Pixels) -> Tensor:
+        picture = picture if isinstance(picture, np.ndarray) else picture.cpu().numpy()
         with np.errstate(all="ignore"):  # its grey picture, which is not used, divides by zero where all is equally far
             return self._run(Image.fromarray(picture))["predicted_depth"].float()
 
-    def _plainly(self, picture: np.ndarray) -> Tensor:
-        """Do what the pipeline does, which takes a quarter of a second for the first and 30 ms for each on the host."""
+    def _plainly(self, picture: Pixels) -> Tensor:
+        """Return the pipeline's numbers. It normalizes on the host, and makes a grey picture: 10 to 30 ms a picture."""
         size = self._seen_size(*picture.shape[:2])
         seen = picture if picture.shape[:2] == size else resized(picture, *size)
         processor, model = self._run.image_processor, self._run.model
@@ -104,7 +107,7 @@ class Pipeline:
 
 
 def _is_plain(processor: Any) -> bool:
-    """Return whether a processor resizes a picture by cubic interpolation, brings it to 0..1 and normalizes it, alone."""
+    """Return whether a processor only resizes a picture by cubic interpolation, and normalizes it."""
     return (
         type(processor).__name__.startswith("DPTImageProcessor")
         and processor.do_resize

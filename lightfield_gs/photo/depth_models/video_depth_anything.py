@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from lightfield_gs.base.options import DepthKind
 from lightfield_gs.photo.depth_models import dpt, vit
-from lightfield_gs.photo.depth_models.model import Prediction, normalized, resized
+from lightfield_gs.photo.depth_models.model import Pixels, Prediction, normalized, resized
 from lightfield_gs.photo.depth_models.weights import Weights, in_float32, read_tensors
 
 _SHORTER_PX = 518
@@ -25,6 +25,7 @@ class VideoDepthAnything:
 
     family = "Video Depth Anything"
     at_once = 32
+    never_waits = False
 
     def __init__(self, path: Path, device: str) -> None:
         tensors = in_float32(read_tensors(path, device))
@@ -34,18 +35,18 @@ class VideoDepthAnything:
         depth = self._vit.count("blocks")
         self._layers = _LAYERS.get(depth) or [(number + 1) * depth // 4 - 1 for number in range(4)]
 
-    def shrink(self, pixels: np.ndarray) -> np.ndarray:
+    def shrink(self, pixels: Pixels) -> Pixels:
         """Return a picture at the size that the network sees."""
         height, width = pixels.shape[:2]
         ratio = max(height, width) / min(height, width)
         shorter = _SHORTER_PX * min(1.0, _WIDEST / ratio)
         factor = shorter / min(height, width)
-        sides = (max(vit.PATCH_PX, vit.PATCH_PX * round(factor * side / vit.PATCH_PX)) for side in (height, width))
-        return resized(pixels, *sides)
+        rows, columns = (max(1, round(factor * side / vit.PATCH_PX)) for side in (height, width))
+        return resized(pixels, vit.PATCH_PX * rows, vit.PATCH_PX * columns)
 
-    def predict(self, pictures: list[np.ndarray]) -> list[Prediction]:
+    def predict(self, pictures: Sequence[Pixels]) -> list[Prediction]:
         """Return the numbers of pictures that follow each other."""
-        size = pictures[0].shape[:2]
+        size = pictures[0].shape[0], pictures[0].shape[1]
         seen = [vit.features(self._vit, normalized([picture], self._device), self._layers)[0] for picture in pictures]
         # The coarse half sees all pictures, the fine half one at a time
         coarse = [
