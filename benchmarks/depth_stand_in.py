@@ -12,7 +12,7 @@ from torch.nn.functional import interpolate
 from lightfield_gs.base.options import DepthKind
 from lightfield_gs.photo.depth_models.model import Pixels, Prediction, normalized, resized
 
-_PATCH_PX = 14
+_PATCH_PX, _SHORTER_PX = 14, 518
 _CHANNELS, _HEADS, _BLOCKS, _FEATURES = 384, 6, 12, 64
 
 
@@ -68,7 +68,6 @@ class DepthStandIn:
 
     Args:
         device: "cpu" or "cuda"; on CUDA the network is in bfloat16.
-        shorter_px: Shorter side of the pictures that it sees.
 
     Attributes:
         parameters: Their number.
@@ -79,18 +78,17 @@ class DepthStandIn:
     at_once = 1
     never_waits = True
 
-    def __init__(self, device: str, shorter_px: int):
+    def __init__(self, device: str):
         torch.manual_seed(0)
-        self._shorter_px = shorter_px
         self._device = torch.device(device)
         with torch.inference_mode(False):
             self._type = torch.bfloat16 if device == "cuda" else torch.float32
             self._network = _Network().eval().to(self._device, self._type)
         self.parameters = sum(part.numel() for part in self._network.parameters())
 
-    def shrink(self, pixels: Pixels) -> Pixels:
+    def shrink(self, pixels: Pixels, shorter_px: int | None = None) -> Pixels:
         """See DepthModel."""
-        scale = self._shorter_px / min(pixels.shape[:2])
+        scale = min(_SHORTER_PX, shorter_px or _SHORTER_PX) / min(pixels.shape[:2])
         height, width = (max(1, round(side * scale / _PATCH_PX)) * _PATCH_PX for side in pixels.shape[:2])
         return resized(pixels, height, width)
 

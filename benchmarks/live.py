@@ -49,7 +49,6 @@ from lightfield_gs.webgpu.devices import choose_drawing_device
 
 WAYS = ("object", "depth")
 SECONDS, WARM_UP_S = 10.0, 3.0
-NETWORK_PX = {"cpu": 98, "cuda": 518}
 _HEIGHT, _WIDTH, _FRAMES = 1080, 1920, 24
 _PLAIN = 1, 1  # numbers of ITU-T H.273 of BT.709
 
@@ -105,9 +104,9 @@ class Sink:
 
 
 @contextmanager
-def stand_in(device: str, shorter_px: int) -> Iterator[DepthStandIn]:
+def stand_in(device: str) -> Iterator[DepthStandIn]:
     """Estimate depths by the stand-in within the block, in place of a network with weights."""
-    network = DepthStandIn(device, shorter_px)
+    network = DepthStandIn(device)
     with (
         mock.patch.object(depth_network, "open_model", lambda folder, device: network),
         mock.patch.object(depth_network, "model_folder", lambda name, say: Path(name)),
@@ -131,7 +130,7 @@ def memory(device: str) -> dict[str, float]:
 def row(way: str, panel: Panel, given: Options) -> dict[str, Any]:
     """Run the loop, and return what came of it. Raises InputError."""
     rate = given.rate or (120 if given.device == "cuda" else 30)
-    health, detail = Health(), Detail(given.fps, given.pixels, given.quality)
+    health, detail = Health(), Detail(given.fps, given.pixels, given.quality, given.network_px)
     spans: list[Span] = []
     words: list[str] = []
     with ExitStack() as stack:
@@ -141,8 +140,7 @@ def row(way: str, panel: Panel, given: Options) -> dict[str, Any]:
         if way == "depth":
             photo = PhotoOptions(depth=AUTO, depth_model=given.depth_model or "stand-in")
             if given.depth_model is None:
-                shorter = given.network_px or NETWORK_PX[given.device]
-                parameters = stack.enter_context(stand_in(given.device, shorter)).parameters
+                parameters = stack.enter_context(stand_in(given.device)).parameters
         source = MadeClip(way, rate)
         reader = Reader(source, health.has_taken, options.progress)
         scenes = LiveScenes(source, photo, RenderOptions(), LookOptions(), panel, given.device, detail, health)
@@ -187,6 +185,7 @@ def row(way: str, panel: Panel, given: Options) -> dict[str, Any]:
         "bound": max(busy, key=lambda name: busy[name], default="source"),
         "cpu_seconds_per_frame": used / max(1, len(latencies)),
         "picture_px": list(detail.size_px[::-1]),
+        "network_px": detail.network_px,
         "quality": detail.quality,
         "network_parameters": parameters,
         "unused": {reason: count for span in spans for reason, count in span.unused.items()},
@@ -219,7 +218,7 @@ class Options(options.PanelOptions):
         pixels: Of a picture. None: as `live` has it.
         quality: Of the drawing. None: as `live` has it.
         depth_model: A network for depths, as `live` takes it. None: the stand-in.
-        network_px: Shorter side of what the stand-in sees. None: that of NETWORK_PX.
+        network_px: Shorter side of what it sees. None: as `live` has it.
         on_device: Whether the panel's pictures stay on the device, as for a window.
         webgpu: Whether WebGPU draws the scenes, which the CPU makes.
     """
@@ -254,12 +253,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a network for depths, its name or folder (default: one of random weights, of the size of Depth Anything "
         "V2 Small)",
     )
-    parser.add_argument(
-        "--network-px",
-        type=whole(14, 2000),
-        metavar="N",
-        help=f"shorter side of what that network sees (default: {NETWORK_PX['cuda']}, on the CPU {NETWORK_PX['cpu']})",
-    )
+    parser.add_argument("--network-px", type=whole(14, 2000), metavar="N", help="as of `live`")
     parser.add_argument("--on-device", action="store_true", help="do not copy the panel's pictures to the host")
     parser.add_argument("--webgpu", action="store_true", help="draw by WebGPU what the CPU makes")
     options.add_panel(parser)

@@ -73,14 +73,18 @@ def steady_estimates(
     return steadied(estimates, is_metric(model, on, options.depth_kind), ahead=ahead)
 
 
-def network_picture(pixels: np.ndarray | Tensor, options: PhotoOptions, device: str) -> Pixels:
+def network_picture(pixels: np.ndarray | Tensor, options: PhotoOptions, device: str, shorter_px: int | None) -> Pixels:
     """Return a picture as the network of --depth auto sees it, for `steady_pictures`. Raises InputError.
 
-    A tensor on CUDA, uint8 [H, W, 3], stays there.
+    Args:
+        pixels: The picture. A tensor on CUDA, uint8 [H, W, 3], stays there.
+        options: Of all pictures.
+        device: Where the network works.
+        shorter_px: Shorter side at most. None: the network's own.
     """
     from lightfield_gs.photo.depth_network import shrink_picture
 
-    return shrink_picture(pixels, options.depth_network, _network_device(device), options.depth_kind)
+    return shrink_picture(pixels, options.depth_network, _network_device(device), options.depth_kind, shorter_px)
 
 
 def steady_pictures(

@@ -60,6 +60,7 @@ class LiveOptions:
         seconds: After which it ends. None: at Ctrl-C, or at the end of a film.
         fps: Frames a second that are to be held.
         pixels: Of a picture, at most. None: as many as hold the rate, and no more than the panel shows.
+        network_px: To the shorter side of what the network for depths sees. None: as many as hold the rate.
         quality: Of the drawing. None: exact, or fast where that is too slow.
         remember: Whether what was seen behind things stays, while the camera stands still.
     """
@@ -74,6 +75,7 @@ class LiveOptions:
     seconds: float | None = None
     fps: Fraction | None = None
     pixels: int | None = None
+    network_px: int | None = None
     remember: bool = True
     views: Views = "integer"
     quality: QualityName | None = None
@@ -91,7 +93,8 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     _check(options)
     fps = options.fps or DEFAULT_FPS
     source = open_source(options.source, float(fps), options.loop)
-    detail = Detail(float(fps), options.pixels, "exact" if _has_two_eyes(options) else options.quality)
+    quality = "exact" if _has_two_eyes(options) else options.quality
+    detail = Detail(float(fps), options.pixels, quality, options.network_px)
     health, tracked = Health(), _tracked(options)
     ways = WaysOut(options.ways, options.panel, tracked, fps, health, stack, say_now)
     panel = ways.panel

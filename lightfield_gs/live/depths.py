@@ -13,6 +13,8 @@ from lightfield_gs.app.options import AUTO, LookOptions, PhotoOptions
 from lightfield_gs.app.photo import place_photo, read_frame
 from lightfield_gs.app.photo_depth import depth_camera, network_picture, steady_pictures
 from lightfield_gs.io.images import Picture
+from lightfield_gs.live.detail import Detail
+from lightfield_gs.live.health import Health
 from lightfield_gs.live.objects import to_device
 from lightfield_gs.live.rgbd_cameras import RgbdPicture
 from lightfield_gs.panels.panel import Panel
@@ -37,6 +39,8 @@ class LiveDepths:
         device: "cpu" or "cuda".
         memory: What was seen before behind what is in front. None: nothing is remembered.
         is_measured: Whether the camera's own depths are taken.
+        detail: The size of what a network sees.
+        health: Counts the network's time.
     """
 
     def __init__(
@@ -48,9 +52,12 @@ class LiveDepths:
         device: str,
         memory: BackgroundMemory | None,
         is_measured: bool,
+        detail: Detail,
+        health: Health,
     ):
         self._name, self._photo, self._look, self._panel = name, photo, look, panel
         self._device, self._memory, self._is_measured = torch.device(device), memory, is_measured
+        self._detail, self._health = detail, health
         self._size: tuple[int, int] | None = None
 
     def read(self, picture: Picture) -> Photographed:
@@ -83,9 +90,13 @@ class LiveDepths:
                 taken = to_device(read.pixels, self._device)
                 pending[number] = _as_floats(taken)
                 seen = taken if taken.is_cuda and _is_plain(read.pixels) else read.pixels
-                yield number, network_picture(seen, self._photo, self._device.type)
+                self._health.begin("network")
+                small = network_picture(seen, self._photo, self._device.type, self._detail.most_network_px)
+                self._detail.network_px = min(small.shape[:2])
+                yield number, small
 
         for number, find_z in steady_pictures(images(), self._photo, self._device.type):
+            self._health.end("network")
             image = pending.pop(number)
             yield number, self._scene(image, find_z(image[..., :3]))
 

@@ -152,7 +152,7 @@ class LiveScenes:
                 yield number, objects(cut)
         elif self._has_layers:
             how = self._name, photo, self._look, self._panel, device, self._memory
-            depths = LiveDepths(*how, self._is_measured)
+            depths = LiveDepths(*how, self._is_measured, self.detail, self._health)
             yield from depths(self._read(frames, taken, depths.read))
         else:
             options = SceneOptions(self._name, photo=photo)

@@ -21,7 +21,7 @@ from lightfield_gs.photo.depth_models.model import DepthModel, Pixels, Predictio
 from lightfield_gs.photo.depth_models.open import open_model
 from lightfield_gs.photo.depth_models.weights import WrongWeights
 from lightfield_gs.photo.depth_windows import in_windows
-from lightfield_gs.photo.joint_upsampling import at_middles, disparities_to_z, distances_to_z, upsample
+from lightfield_gs.photo.joint_upsampling import Estimate, at_middles, disparities_to_z, distances_to_z, upsample
 from lightfield_gs.photo.steady_depth import PictureEstimate
 
 _ESTIMATED_KINDS: tuple[DepthKind, ...] = ("distance", "disparity")
@@ -111,7 +111,9 @@ def estimate_pictures(
     return estimate_shrunk(shrunk, model, device, kind=kind)
 
 
-def shrink_picture(image: np.ndarray | Tensor, model: str | Path, device: Device, kind: str | None) -> Pixels:
+def shrink_picture(
+    image: np.ndarray | Tensor, model: str | Path, device: Device, kind: str | None, shorter_px: int | None = None
+) -> Pixels:
     """Return a picture at the size that the network sees, uint8 [h, w, 3].
 
     Args:
@@ -119,9 +121,11 @@ def shrink_picture(image: np.ndarray | Tensor, model: str | Path, device: Device
         model: See depth_from_network.
         device: See depth_from_network.
         kind: See depth_from_network.
+        shorter_px: See DepthModel.shrink.
     """
     network, _ = _open(model, device, kind, None, None)
-    return network.shrink(image if isinstance(image, Tensor) and image.is_cuda else _to_pixels(image))
+    pixels = image if isinstance(image, Tensor) and image.is_cuda else _to_pixels(image)
+    return network.shrink(pixels, shorter_px)
 
 
 def estimate_shrunk(
@@ -189,7 +193,12 @@ def z_of_estimate(
         found = distances_to_z(1 / estimate.disparities)
     else:
         found = disparities_to_z(estimate.disparities, limits, estimate.limits)
-    if estimate.disparities.numel() >= photo.shape[0] * photo.shape[1]:
+    return _at_photo(found, photo)
+
+
+def _at_photo(found: Estimate, photo: Tensor) -> Tensor:
+    """Return z at the size of the photo [H, W, 3]."""
+    if found.disparities.numel() >= photo.shape[0] * photo.shape[1]:
         return found.z(at_middles(found.disparities, photo))
     return found.z(upsample(found.disparities, photo, found.value_range))
 
@@ -250,7 +259,7 @@ def _as_depth_map(
 ) -> DepthMap:
     found = distances_to_z(values) if kind == "distance" else disparities_to_z(values, limits, ends)
     photo = torch.from_numpy(pixels).to(values.device).float() / 255
-    z = found.z(upsample(found.disparities, photo, found.value_range)).cpu().numpy()
+    z = _at_photo(found, photo).cpu().numpy()
     name = Path(model).name if Path(model).is_dir() else model
     description = f"depth estimated by {name}: {found.description}"
     return DepthMap(z, None, description, [f"{model}: {words}" for words in found.notes])

@@ -258,8 +258,27 @@ def test_pictures_become_smaller_until_the_rate_holds_and_never_for_more_than_th
     wide.size_px = 720, 1280
     wide.limit(0.25)
     assert wide.scaling.most_pixels == pytest.approx(720 * 1280 * (1.4 * 0.25) ** 2, abs=1)
-    fixed = Detail(30, 1_000_000)
+    fixed = Detail(30, 1_000_000, network_px=98)
     assert [fixed.adapt(slow) for _ in range(3)] == [None] * 3 and fixed.scaling.most_pixels == 1_000_000
+
+
+def test_the_network_for_depths_sees_less_where_it_takes_most_of_the_time():
+    detail = Detail(5, 1_000_000)
+    times = dict(depth=(2.4, 1), network=(2.3, 1))
+    detail.network_px = 518
+    assert detail.adapt(span_of(3, 90, **times)) is None  # the first pictures
+    line = detail.adapt(span_of(3, 90, **times)) or ""
+    assert "its network takes 2300 ms" in line and "259 pixels to the shorter side, not 518" in line
+    detail.network_px = 252
+    assert [detail.adapt(span_of(1, 90, depth=(0.6, 1), network=(0.5, 1))) is None for _ in range(2)] == [True, False]
+    assert detail.most_network_px == 126
+    in_vain = Detail(5, 1_000_000)
+    in_vain.network_px = 518  # of a network that takes one size
+    said = [in_vain.adapt(span_of(3, 90, **times)) for _ in range(6)]
+    assert len([line for line in said if line]) == 1
+    even = Detail(5, 1_000_000)
+    even.network_px = 518
+    assert [even.adapt(span_of(3, 90, depth=(2.4, 1), network=(0.9, 1))) for _ in range(3)] == [None] * 3
 
 
 @pytest.mark.parametrize(

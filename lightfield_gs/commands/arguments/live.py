@@ -78,6 +78,14 @@ def add_arguments(parser: Parser) -> None:
         "hold --fps; a line says when they become fewer)",
     )
     add(
+        "--network-px",
+        type=whole(14, 2000),
+        metavar="N",
+        short="pixels that the depth network sees, less for speed",
+        help="let the network of --depth auto see so many pixels to the shorter side of each picture, 14..2000 "
+        "(default: as many as it was made for, and fewer where they do not hold --fps; a line says when)",
+    )
+    add(
         "--remember",
         action=argparse.BooleanOptionalAction,
         default=True,

@@ -34,9 +34,11 @@ class DepthAnything3:
         facts = json.loads((folder / "config.json").read_text())
         self._layers = facts.get("config", {}).get("net", {}).get("out_layers", _LAYERS)
 
-    def shrink(self, pixels: Pixels) -> Pixels:
-        """Return a picture at the size that the network sees."""
-        factor = _LONGER_PX / max(pixels.shape)
+    def shrink(self, pixels: Pixels, shorter_px: int | None = None) -> Pixels:
+        """See DepthModel."""
+        factor = _LONGER_PX / max(pixels.shape[:2])
+        if shorter_px is not None:
+            factor = min(factor, shorter_px / min(pixels.shape[:2]))
         height, width = (
             max(vit.PATCH_PX, vit.PATCH_PX * round(factor * side / vit.PATCH_PX)) for side in pixels.shape[:2]
         )

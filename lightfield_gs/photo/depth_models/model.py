@@ -51,8 +51,13 @@ class DepthModel(Protocol):
     at_once: int
     never_waits: bool
 
-    def shrink(self, pixels: Pixels) -> Pixels:
-        """Return a picture at the size that the network sees."""
+    def shrink(self, pixels: Pixels, shorter_px: int | None = None) -> Pixels:
+        """Return a picture at the size that the network sees.
+
+        Args:
+            pixels: The picture.
+            shorter_px: Its shorter side at most, about. Networks that take one size alone heed it not.
+        """
 
     def predict(self, pictures: Sequence[Pixels]) -> list[Prediction]:
         """Return the numbers of pictures in a row, as `shrink` returns them."""

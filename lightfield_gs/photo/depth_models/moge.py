@@ -50,7 +50,7 @@ class MoGe2:
         count = self._vit.count("blocks")
         self._layers = range(count - layers, count) if isinstance(layers, int) else layers
 
-    def shrink(self, pixels: Pixels) -> Pixels:
+    def shrink(self, pixels: Pixels, shorter_px: int | None = None) -> Pixels:
         """Return the picture as it is: the network has to know its shape."""
         return pixels
 

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from PIL import Image
 from torch import Tensor
-from torch.nn.functional import interpolate
 
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import DepthKind
@@ -64,18 +63,22 @@ class Pipeline:
         self.never_waits = self._is_plain and config.model_type in _NEVER_WAIT
         self._seen: dict[tuple[int, int], tuple[int, int]] = {}  # sizes that the network sees, by pictures' own
 
-    def shrink(self, pixels: Pixels) -> Pixels:
-        """Return a picture no larger than the network sees it."""
+    def shrink(self, pixels: Pixels, shorter_px: int | None = None) -> Pixels:
+        """See DepthModel."""
         height, width = pixels.shape[:2]
+        if self._is_plain:
+            rows, columns = self._seen_size(height, width)
+            if shorter_px is not None and shorter_px < min(rows, columns):
+                step, factor = self._run.image_processor.ensure_multiple_of, shorter_px / min(rows, columns)
+                rows, columns = (step * max(1, round(factor * side / step)) for side in (rows, columns))
+            return pixels if (rows, columns) == (height, width) else resized(pixels, rows, columns)
         factor = _side_px(self._run.image_processor) / min(height, width)
         if factor >= 1:
             return pixels
-        if self._is_plain:
-            return resized(pixels, *self._seen_size(height, width))
         return resized(pixels, max(1, round(factor * height)), max(1, round(factor * width)))
 
     def predict(self, pictures: Sequence[Pixels]) -> list[Prediction]:
-        """Return the numbers of pictures."""
+        """See DepthModel."""
         with _quiet(), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             maps = [self._plainly(part) if self._is_plain else self._by_pipeline(part) for part in pictures]
@@ -88,14 +91,9 @@ class Pipeline:
 
     def _plainly(self, picture: Pixels) -> Tensor:
         """Return the pipeline's numbers. It normalizes on the host, and makes a grey picture: 10 to 30 ms a picture."""
-        size = self._seen_size(*picture.shape[:2])
-        seen = picture if picture.shape[:2] == size else resized(picture, *size)
         processor, model = self._run.image_processor, self._run.model
-        images = normalized([seen], model.device, processor.image_mean, processor.image_std)
-        values = model(pixel_values=images.to(model.dtype)).predicted_depth.float()
-        if values.shape[-2:] == picture.shape[:2]:
-            return values
-        return interpolate(values[None], size=picture.shape[:2], mode="bicubic", align_corners=False)
+        images = normalized([picture], model.device, processor.image_mean, processor.image_std)
+        return model(pixel_values=images.to(model.dtype)).predicted_depth.float()
 
     def _seen_size(self, height: int, width: int) -> tuple[int, int]:
         """Return the size at which the network sees a picture: its processor decides, for one of each size."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -35,11 +36,11 @@ class VideoDepthAnything:
         depth = self._vit.count("blocks")
         self._layers = _LAYERS.get(depth) or [(number + 1) * depth // 4 - 1 for number in range(4)]
 
-    def shrink(self, pixels: Pixels) -> Pixels:
-        """Return a picture at the size that the network sees."""
+    def shrink(self, pixels: Pixels, shorter_px: int | None = None) -> Pixels:
+        """See DepthModel."""
         height, width = pixels.shape[:2]
         ratio = max(height, width) / min(height, width)
-        shorter = _SHORTER_PX * min(1.0, _WIDEST / ratio)
+        shorter = min(_SHORTER_PX * min(1.0, _WIDEST / ratio), shorter_px or math.inf)
         factor = shorter / min(height, width)
         rows, columns = (max(1, round(factor * side / vit.PATCH_PX)) for side in (height, width))
         return resized(pixels, vit.PATCH_PX * rows, vit.PATCH_PX * columns)
