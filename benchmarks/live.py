@@ -26,7 +26,7 @@ import numpy as np
 import torch
 
 from benchmarks.depth_stand_in import DepthStandIn
-from lightfield_gs.app.options import AUTO, LookOptions, PhotoOptions, RenderOptions
+from lightfield_gs.app.options import AUTO, FLAT, LookOptions, PhotoOptions, RenderOptions
 from lightfield_gs.base.cli_messages import capturable_streams, capture
 from lightfield_gs.base.errors import InputError
 from lightfield_gs.base.options import QUALITY_NAMES, QualityName
@@ -47,7 +47,8 @@ from lightfield_gs.video.decoding import PixelKind, av_library
 from lightfield_gs.video.rendering import FrameOptions
 from lightfield_gs.webgpu.devices import choose_drawing_device
 
-WAYS = ("object", "depth")
+WAYS = ("object", "depth", "flat")
+USUAL_WAYS = "object,depth"
 SECONDS, WARM_UP_S = 10.0, 3.0
 _HEIGHT, _WIDTH, _FRAMES = 1080, 1920, 24
 _PLAIN = 1, 1  # numbers of ITU-T H.273 of BT.709
@@ -136,7 +137,7 @@ def row(way: str, panel: Panel, given: Options) -> dict[str, Any]:
     with ExitStack() as stack:
         stack.enter_context(capturable_streams())
         parameters = 0
-        photo = PhotoOptions()
+        photo = PhotoOptions(depth=FLAT if way == "flat" else None)
         if way == "depth":
             photo = PhotoOptions(depth=AUTO, depth_model=given.depth_model or "stand-in")
             if given.depth_model is None:
@@ -223,7 +224,7 @@ class Options(options.PanelOptions):
         webgpu: Whether WebGPU draws the scenes, which the CPU makes.
     """
 
-    way: str = ",".join(WAYS)
+    way: str = USUAL_WAYS
     seconds: float = SECONDS
     warm_up: float = WARM_UP_S
     rate: float | None = None
@@ -238,7 +239,9 @@ class Options(options.PanelOptions):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the benchmark."""
-    parser.add_argument("--way", default=",".join(WAYS), help="object, depth, or both with a comma (default: both)")
+    parser.add_argument(
+        "--way", default=USUAL_WAYS, help="object, depth, flat, several with commas (default: %(default)s)"
+    )
     seconds = within(0.5, 1e6, "seconds")
     parser.add_argument("--seconds", type=seconds, default=SECONDS, help="that are measured (default: %(default)g)")
     parser.add_argument("--warm-up", type=seconds, default=WARM_UP_S, help="seconds before (default: %(default)g)")

@@ -248,6 +248,7 @@ class LiveScenes:
         how.append("framing: all pictures as the first")
         if self._is_whole and self._has_layers:
             how.append(_REMEMBERED if self._memory is not None else _NOT_REMEMBERED)
+        if self._is_whole and (self._has_layers or self._photo.depth == FLAT):
             focal, _ = settled_camera(self._photo, *read.photo.size)
             self.detail.limit(rig.focal_px[0] / focal[0] * view_fraction(self._panel))
         if not self._is_whole and self._device == "cuda":

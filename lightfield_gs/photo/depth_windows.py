@@ -62,4 +62,4 @@ def _continued(known: list[Tensor], values: list[Tensor], has_scale: bool) -> li
 
 
 def _floats(picture: Pixels) -> Tensor:
-    return (torch.from_numpy(picture) if isinstance(picture, np.ndarray) else picture) / 255
+    return (torch.from_numpy(np.array(picture)) if isinstance(picture, np.ndarray) else picture) / 255

@@ -115,7 +115,7 @@ def normalized(
     pictures: Sequence[Pixels], device: torch.device, mean: Sequence[float] = _MEAN, std: Sequence[float] = _STD
 ) -> Tensor:
     """Return pictures of one size as [B, 3, h, w], in 0..1, without the mean and by the standard deviation."""
-    tensors = [torch.from_numpy(part) if isinstance(part, np.ndarray) else part for part in pictures]
+    tensors = [torch.from_numpy(np.array(part)) if isinstance(part, np.ndarray) else part for part in pictures]
     images = torch.stack(tensors).to(device).float().movedim(3, 1) / 255
     middle, unit = (_per_channel(tuple(values), device) for values in (mean, std))
     return (images - middle) / unit
