@@ -128,10 +128,15 @@ def memory(device: str) -> dict[str, float]:
     return found
 
 
+def _detail(given: Options) -> Detail:
+    is_slow = given.device == "cpu" and not given.webgpu
+    return Detail(given.fps, given.pixels, given.quality, given.network_px, is_slow)
+
+
 def row(way: str, panel: Panel, given: Options) -> dict[str, Any]:
     """Run the loop, and return what came of it. Raises InputError."""
     rate = given.rate or (120 if given.device == "cuda" else 30)
-    health, detail = Health(), Detail(given.fps, given.pixels, given.quality, given.network_px)
+    health, detail = Health(), _detail(given)
     spans: list[Span] = []
     words: list[str] = []
     with ExitStack() as stack:
@@ -166,7 +171,7 @@ def row(way: str, panel: Panel, given: Options) -> dict[str, Any]:
         finally:
             pipeline.stop()
     latencies = sorted(1000 * latency for span in spans for latency in span.latencies_s)
-    stages = {name for span in spans for name in span.took_s}
+    stages = {name for span in spans for name in span.took}
     busy = {name: sum(span.busy_s.get(name, 0.0) for span in spans) / seconds for name in stages}
     return {
         "way": way,
@@ -181,12 +186,14 @@ def row(way: str, panel: Panel, given: Options) -> dict[str, Any]:
         "frames_per_second": len(latencies) / seconds,
         "latency_ms_median": median(latencies) if latencies else None,
         "latency_ms_95": latencies[int(0.95 * (len(latencies) - 1))] if latencies else None,
-        "stages_ms": {name: 1000 * mean(t for span in spans for t in span.took_s.get(name, ())) for name in stages},
+        "stages_ms": {
+            name: 1000 * mean(t.seconds for span in spans for t in span.took.get(name, ())) for name in stages
+        },
         "busy": busy,
         "bound": max(busy, key=lambda name: busy[name], default="source"),
         "cpu_seconds_per_frame": used / max(1, len(latencies)),
         "picture_px": list(detail.size_px[::-1]),
-        "network_px": detail.network_px,
+        "most_network_px": detail.most_network_px,
         "quality": detail.quality,
         "network_parameters": parameters,
         "unused": {reason: count for span in spans for reason, count in span.unused.items()},
@@ -201,8 +208,7 @@ def _pass(seconds: float, health: Health, detail: Detail, ended: threading.Event
     spans, until = [], time.monotonic() + seconds
     while (left := until - time.monotonic()) > 0 and not ended.wait(min(1.0, left)):
         spans.append(health.take())
-        if (line := detail.adapt(spans[-1])) is not None:
-            words.append(line)
+        words += detail.adapt(spans[-1])
     return spans
 
 

@@ -93,12 +93,13 @@ def _show(options: LiveOptions, stack: ExitStack) -> None:
     _check(options)
     fps = options.fps or DEFAULT_FPS
     source = open_source(options.source, float(fps), options.loop)
-    quality = "exact" if _has_two_eyes(options) else options.quality
-    detail = Detail(float(fps), options.pixels, quality, options.network_px)
     health, tracked = Health(), _tracked(options)
     ways = WaysOut(options.ways, options.panel, tracked, fps, health, stack, say_now)
     panel = ways.panel
     device = choose_drawing_device(options.device, panel.width_px * panel.height_px, _MANY_FRAMES)
+    quality = "exact" if _has_two_eyes(options) else options.quality
+    is_slow = device.torch == "cpu" and device.webgpu is None
+    detail = Detail(float(fps), options.pixels, quality, options.network_px, is_slow)
     reader = Reader(source, health.has_taken, say_now, holds_film=True)
     taken = options.photo, options.render, options.look, panel, device.torch, detail, health
     scenes = LiveScenes(source, *taken, options.remember)
@@ -246,5 +247,5 @@ class _End:
                 return
             span = self._health.take()
             say_now(span.line(self._hint))
-            if (words := self._detail.adapt(span)) is not None:
+            for words in self._detail.adapt(span):
                 say_now(words)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections import deque
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +16,6 @@ from lightfield_gs.app.photo import place_photo, read_frame
 from lightfield_gs.app.photo_depth import depth_camera, network_picture, steady_pictures
 from lightfield_gs.io.images import Picture
 from lightfield_gs.live.detail import Detail
-from lightfield_gs.live.health import Health
 from lightfield_gs.live.objects import to_device
 from lightfield_gs.live.rgbd_cameras import RgbdPicture
 from lightfield_gs.panels.panel import Panel
@@ -39,8 +40,7 @@ class LiveDepths:
         device: "cpu" or "cuda".
         memory: What was seen before behind what is in front. None: nothing is remembered.
         is_measured: Whether the camera's own depths are taken.
-        detail: The size of what a network sees.
-        health: Counts the network's time.
+        detail: The size of what a network sees, which is told how long that takes.
     """
 
     def __init__(
@@ -53,11 +53,10 @@ class LiveDepths:
         memory: BackgroundMemory | None,
         is_measured: bool,
         detail: Detail,
-        health: Health,
     ):
         self._name, self._photo, self._look, self._panel = name, photo, look, panel
         self._device, self._memory, self._is_measured = torch.device(device), memory, is_measured
-        self._detail, self._health = detail, health
+        self._detail = detail
         self._size: tuple[int, int] | None = None
 
     def read(self, picture: Picture) -> Photographed:
@@ -84,19 +83,21 @@ class LiveDepths:
                 yield number, self._scene(image, z, read.camera)
             return
         pending: dict[int, torch.Tensor] = {}
+        seen: deque[tuple[int, float]] = deque()  # shorter sides, and when the network began
 
         def images() -> Iterator[tuple[int, Pixels]]:
             for number, read in pictures:
                 taken = to_device(read.pixels, self._device)
                 pending[number] = _as_floats(taken)
-                seen = taken if taken.is_cuda and _is_plain(read.pixels) else read.pixels
-                self._health.begin("network")
-                small = network_picture(seen, self._photo, self._device.type, self._detail.most_network_px)
-                self._detail.network_px = min(small.shape[:2])
+                whole = taken if taken.is_cuda and _is_plain(read.pixels) else read.pixels
+                began = time.perf_counter()
+                small = network_picture(whole, self._photo, self._device.type, self._detail.most_network_px)
+                seen.append((min(small.shape[:2]), began))
                 yield number, small
 
         for number, find_z in steady_pictures(images(), self._photo, self._device.type):
-            self._health.end("network")
+            side_px, began = seen.popleft()
+            self._detail.network_took(side_px, time.perf_counter() - began)
             image = pending.pop(number)
             yield number, self._scene(image, find_z(image[..., :3]))
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
+from statistics import mean
 
 from lightfield_gs.base.options import QualityName
 from lightfield_gs.live.health import Span
@@ -13,9 +15,12 @@ MOST_PIXELS = 1_500_000  # as of a photo: a view of a panel has fewer
 _WHOLE_PIXELS = 1920 * 1088  # of pictures of which an object on a GPU is cut out
 LEAST_PIXELS = 320 * 180  # less is a blur on any panel
 LEAST_NETWORK_PX = 126  # nine patches of the usual networks for depths: with fewer, things are blobs
-_NETWORK_STEP_PX = 14  # a patch of theirs
+_PATCH_PX = 14
 _SLOW = 1.1  # of the time for a frame, from which on a stage is too slow
 _HELPS = 0.9  # of the time before, above which smaller pictures were of no use
+_LONGEST_START_S = 1.5  # of a first picture, which takes longer than those after it; beyond it counts, also unfinished
+_EASY = 6  # times as long may a fast drawing take from which on an exact one is tried: the CPU's takes up to 4 times
+_NETWORK_PART, _NETWORK_POWER = 0.5, 2.2  # its part of the time; its time grows by that power of the side it sees
 _AIM, _STEP = 0.9, 0.25  # of the time that is aimed at, and the most that one step leaves of the pixels
 _FINER = 1.4  # pixels to a side for one that a view has: each is a little blurred
 STAGES = ("network", "depth", "encode")  # which take less time for fewer pixels
@@ -29,25 +34,32 @@ class Detail:
         pixels: Of a picture. None: as many as hold the rate.
         quality: Of the drawing. None: exact, or fast where that does not hold the rate.
         network_px: Shorter side of what the network for depths sees, at most. None: as much as holds the rate.
+        begins_fast: Whether an automatic quality begins with fast, and becomes exact where there is much time.
 
     Attributes:
         quality: Of the drawing, now.
         scaling: How the pictures are reduced, now.
         size_px: Height and width of the last picture.
         most_network_px: Shorter side of what the network for depths may see, now. None: its own.
-        network_px: Shorter side of what it saw last. None: nothing yet.
     """
 
     def __init__(
-        self, fps: float, pixels: int | None, quality: QualityName | None = "exact", network_px: int | None = None
+        self,
+        fps: float,
+        pixels: int | None,
+        quality: QualityName | None = "exact",
+        network_px: int | None = None,
+        begins_fast: bool = False,
     ):
-        self.quality: QualityName = quality or "exact"
-        self._may_draw_fast = quality is None
+        self.quality: QualityName = quality or ("fast" if begins_fast else "exact")
+        self._may_draw_exactly = quality is None and begins_fast
+        self._may_draw_fast = quality is None and not begins_fast
         self._least = LEAST_PIXELS
-        self._fps, self._is_fixed, self._is_said, self._is_new = fps, pixels is not None, False, True
+        self._fps, self._is_fixed, self._is_said = fps, pixels is not None, False
+        self._changed, self._warm = -math.inf, set[str]()  # the moment of the last change, and the stages seen since
         self.scaling = Scaling(pixels or MOST_PIXELS)
         self.most_network_px, self._is_network_fixed = network_px, network_px is not None
-        self.network_px: int | None = None
+        self._network = (0, 0.0)  # what it saw last, and its seconds
         self._slow: tuple[str, float, int] | None = None  # what was too slow before, its seconds, and the pixels then
         self.size_px: tuple[int, int] = (0, 0)
 
@@ -72,60 +84,110 @@ class Detail:
             most = max(self._least, round(scale * scale * self.size_px[0] * self.size_px[1]))
             self.scaling = replace(self.scaling, most_pixels=min(self.scaling.most_pixels, most))
 
-    def adapt(self, span: Span) -> str | None:
-        """Take smaller pictures, or let the network see smaller ones, where a stage was too slow; return a line on it.
+    def count_after(self, taken: float) -> None:
+        """Let only pictures count that are taken later: the first one has another size. taken: of time.monotonic."""
+        self._changed = taken
 
-        The rate of the source bounds too: no picture becomes smaller for a rate that the source does not have.
+    def foresee_network(self, own_px: int, small_px: int, seconds: float) -> list[str]:
+        """Let the network for depths see less from the beginning where its own size would take too long.
+
+        Args:
+            own_px: Shorter side of what it was made for.
+            small_px: Shorter side of what it saw in a trial.
+            seconds: How long that took.
+
+        Returns:
+            A line, where it sees less.
         """
-        times = {name: mean for name in STAGES if (mean := span.mean_s(name)) is not None}
-        may_shrink = not (self._is_fixed or self._is_said)
-        may_change = may_shrink or self._may_draw_fast or not self._is_network_fixed
-        if not may_change or not times or span.seconds <= 0:
-            return None
-        if self._is_new:  # the first pictures of a kind take longer
-            self._is_new = False
-            return None
-        stage = max(times, key=lambda name: times[name])
+        fits = small_px * (_NETWORK_PART / self._fps / seconds) ** (1 / _NETWORK_POWER)
+        if self._is_network_fixed or small_px >= own_px or fits >= own_px:
+            return []
+        self.most_network_px = max(LEAST_NETWORK_PX, int(fits))
+        why = f"it takes {1000 * seconds:.0f} ms for {small_px}"
+        return [
+            f"depth: its network sees {self.most_network_px} pixels to the shorter side, not {own_px}: {why} "
+            "(--network-px keeps them)"
+        ]
+
+    def network_took(self, side_px: int, seconds: float) -> None:
+        """Note how long the network for depths took for the last picture; side_px: the shorter side that it saw."""
+        self._network = side_px, seconds
+
+    def adapt(self, span: Span) -> list[str]:
+        """Take smaller pictures, or let the network see smaller ones, where a stage was too slow; return lines on it.
+
+        The rate of the source bounds too: no picture becomes smaller for a rate that the source does not have. Only
+        pictures count that came after the last change.
+        """
+        if span.seconds <= 0:
+            return []
         wanted = 1 / min(self._fps, max(1.0, span.taken / span.seconds))
-        if times[stage] <= _SLOW * wanted:
-            return None
+        times = self._times(span)
+        slow = {stage: seconds for stage, seconds in times.items() if seconds > _SLOW * wanted}
         wish = f"for a frame, and {1 / wanted:.3g} a second are wanted"
-        if stage == "depth" and "network" in times and (seen := self._less_for_network(times, wanted)) is not None:
+        words = {stage: f"the {stage} takes {1000 * seconds:.0f} ms {wish}" for stage, seconds in slow.items()}
+        lines = []
+        if self._may_draw_exactly and "encode" in times:
+            self._may_draw_exactly = False
+            if _EASY * times["encode"] < wanted:
+                self.quality, self._may_draw_fast = "exact", True
+                lines.append(f"the encode takes {1000 * times['encode']:.0f} ms: it draws with --quality exact")
+        if "encode" in slow and self._may_draw_fast:
+            self.quality, self._may_draw_fast = "fast", False
+            lines.append(f"{words.pop('encode')}: it draws with --quality fast (--quality exact keeps it)")
+        if "depth" in slow and (seen := self._less_for_network(slow["depth"], wanted)) is not None:
+            del words["depth"]
+            took = f"the network for depths takes {1000 * self._network[1]:.0f} ms {wish}"
             side = f"{self.most_network_px} pixels to the shorter side, not {seen}"
-            return (
-                f"its network takes {1000 * times['network']:.0f} ms {wish}: it sees {side} (--network-px keeps them)"
-            )
-        words = f"the {stage} takes {1000 * times[stage]:.0f} ms {wish}"
-        if stage == "encode" and self._may_draw_fast:
-            self.quality, self._may_draw_fast, self._is_new = "fast", False, True
-            return f"{words}: it draws with --quality fast (--quality exact keeps it)"
-        if not may_shrink:
+            lines.append(f"{took}: it sees {side} (--network-px keeps them)")
+        if words and not (self._is_fixed or self._is_said):
+            stage = max(words, key=lambda name: slow[name])
+            lines.append(f"{words[stage]}: {self._less_pixels(stage, slow[stage], wanted)}")
+        if lines:
+            self._changed, self._warm = time.monotonic(), set()
+        return lines
+
+    def _times(self, span: Span) -> dict[str, float]:
+        """Return the mean seconds of each stage for pictures since the last change, but for the first one."""
+        times = {}
+        for stage in STAGES:
+            fresh = [part.seconds for part in span.took.get(stage, ()) if part.taken > self._changed]
+            if fresh and stage not in self._warm:
+                self._warm.add(stage)
+                if len(fresh) > 1 or fresh[0] < _LONGEST_START_S:
+                    del fresh[0]
+            if (now := span.works.get(stage)) is not None and now.taken > self._changed:
+                fresh += [now.seconds] if now.seconds > _LONGEST_START_S else []
+            if fresh:
+                times[stage] = mean(fresh)
+        return times
+
+    def _less_for_network(self, depth_s: float, wanted: float) -> int | None:
+        """Let the network for depths see less where it takes most of the time; return what it saw, or None."""
+        (seen, took), limit = self._network, self.most_network_px
+        if self._is_network_fixed or 2 * took < depth_s:
             return None
-        slow, self._slow = self._slow, (stage, times[stage], self.scaling.most_pixels)
-        if slow is not None and stage == slow[0] and times[stage] > _HELPS * slow[1]:
-            self._is_said, self.scaling = True, replace(self.scaling, most_pixels=slow[2])
+        if seen <= LEAST_NETWORK_PX or (limit is not None and seen > limit + _PATCH_PX):  # it takes one size
+            self._is_network_fixed = True
+            return None
+        part = (_AIM * wanted - (depth_s - took)) / took
+        fewer = int(seen * math.sqrt(max(0.0, part)))
+        self.most_network_px = max(LEAST_NETWORK_PX, min(fewer, seen - _PATCH_PX))
+        return seen
+
+    def _less_pixels(self, stage: str, seconds: float, wanted: float) -> str:
+        """Take smaller pictures for a stage, unless that is of no use; return words on it."""
+        before, self._slow = self._slow, (stage, seconds, self.scaling.most_pixels)
+        if before is not None and stage == before[0] and seconds > _HELPS * before[1]:
+            self._is_said, self.scaling = True, replace(self.scaling, most_pixels=before[2])
             less = "--quality fast and --device draw faster" if stage == "encode" else "--device is another"
-            return f"{words}: smaller pictures do not help, and are taken as large as before; {less}"
+            return f"smaller pictures do not help, and are taken as large as before; {less}"
         height, width = self.size_px
         now = min(self.scaling.most_pixels, height * width)
         if now <= self._least:
             self._is_said = True
-            slower = f"give --fps {1 / times[stage]:.2g}"
-            return f"{words}: the pictures are as small as they get ({width} x {height}); {slower}"
-        fewer = max(self._least, int(now * max(_STEP, _AIM * wanted / times[stage])))
-        self.scaling, self._is_new = replace(self.scaling, most_pixels=fewer), True
+            return f"the pictures are as small as they get ({width} x {height}); give --fps {1 / seconds:.2g}"
+        fewer = max(self._least, int(now * max(_STEP, _AIM * wanted / seconds)))
+        self.scaling = replace(self.scaling, most_pixels=fewer)
         after = self.scaling.size(height, width)
-        return f"{words}: pictures are taken at {after[1]} x {after[0]}, not {width} x {height} (--pixels keeps a size)"
-
-    def _less_for_network(self, times: dict[str, float], wanted: float) -> int | None:
-        """Let the network for depths see less where it takes most of the time; return what it saw, or None."""
-        seen, limit = self.network_px, self.most_network_px
-        if self._is_network_fixed or seen is None or 2 * times["network"] < times["depth"]:
-            return None
-        if seen <= LEAST_NETWORK_PX or (limit is not None and seen > limit + _NETWORK_STEP_PX):  # it takes one size
-            self._is_network_fixed = True
-            return None
-        part = (_AIM * wanted - (times["depth"] - times["network"])) / times["network"]
-        fewer = min(int(seen * math.sqrt(max(_STEP, part))), seen - _NETWORK_STEP_PX)
-        self.most_network_px, self._is_new = max(LEAST_NETWORK_PX, fewer), True
-        return seen
+        return f"pictures are taken at {after[1]} x {after[0]}, not {width} x {height} (--pixels keeps a size)"

@@ -7,11 +7,24 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from statistics import mean, median
+from statistics import median
+from typing import NamedTuple
 
 from lightfield_gs.live.sources import Frame
 
 _BUSY = 0.75  # part of the time from which on a stage, not the source, bounds the rate
+
+
+class Took(NamedTuple):
+    """How long a stage took for a picture.
+
+    Attributes:
+        seconds: That.
+        taken: When the source gave the picture, seconds of time.monotonic.
+    """
+
+    seconds: float
+    taken: float
 
 
 @dataclass
@@ -25,7 +38,8 @@ class Span:
         drawn: Pictures of the panel that were made.
         latencies_s: From taken to sent, of each picture that was sent.
         busy_s: Of each stage.
-        took_s: How long each stage took for each picture that it finished.
+        took: How long each stage took for each picture that it finished.
+        works: How long each stage that works now has done so.
         unused: Reasons why pictures could not be used, and of how many.
     """
 
@@ -35,7 +49,8 @@ class Span:
     drawn: int = 0
     latencies_s: list[float] = field(default_factory=list)
     busy_s: dict[str, float] = field(default_factory=dict)
-    took_s: dict[str, list[float]] = field(default_factory=dict)
+    took: dict[str, list[Took]] = field(default_factory=dict)
+    works: dict[str, Took] = field(default_factory=dict)
     unused: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -48,11 +63,6 @@ class Span:
         """The stage that bounds the rate: the busiest, or the source where all of them wait for it."""
         name, busy = max(self.busy_s.items(), key=lambda item: item[1], default=("source", 0.0))
         return name if self.seconds > 0 and busy >= _BUSY * self.seconds else "source"
-
-    def mean_s(self, stage: str) -> float | None:
-        """Return the seconds that a stage takes for a picture; None where it finished none."""
-        took = self.took_s.get(stage)
-        return mean(took) if took else None
 
     def line(self, hint: str = "") -> str:
         """Return the health line, with a hint where pictures are drawn and none is shown."""
@@ -68,12 +78,21 @@ class Span:
         return ", ".join([*parts, f"bound by the {self.bound}"])
 
 
+@dataclass
+class _Since:
+    """A stage that works: since when, up to when that is counted, and when its picture was taken."""
+
+    began: float
+    counted: float
+    taken: float
+
+
 class Health:
     """Counts, from all threads."""
 
     def __init__(self) -> None:
         self._lock, self._span = threading.Lock(), Span()
-        self._since: dict[str, list[float]] = {}  # when stages that work began, and up to when that is counted
+        self._since: dict[str, _Since] = {}  # the stages that work
         self.shown, self.drawn, self.taken = 0, 0, 0
         self._last_drawn, self._last_sent = -1, -1
 
@@ -106,25 +125,24 @@ class Health:
         with self._lock:
             self._span.unused[reason] = self._span.unused.get(reason, 0) + 1
 
-    def begin(self, stage: str) -> None:
-        """Count the time of a stage for a picture from now on."""
+    def begin(self, stage: str, frame: Frame | None = None) -> None:
+        """Count the time of a stage from now on, for a picture."""
         with self._lock:
             now = time.monotonic()
-            self._since.setdefault(stage, [now, now])
+            self._since.setdefault(stage, _Since(now, now, now if frame is None else frame.taken))
 
     def end(self, stage: str) -> None:
         """Count it no more; nothing happens where it has not begun."""
         with self._lock:
             if (since := self._since.pop(stage, None)) is not None:
-                began, counted = since
                 now = time.monotonic()
-                self._add_busy(stage, now - counted)
-                self._span.took_s.setdefault(stage, []).append(now - began)
+                self._add_busy(stage, now - since.counted)
+                self._span.took.setdefault(stage, []).append(Took(now - since.began, since.taken))
 
     @contextmanager
-    def busy(self, stage: str) -> Iterator[None]:
+    def busy(self, stage: str, frame: Frame) -> Iterator[None]:
         """Count the time of the block for a stage."""
-        self.begin(stage)
+        self.begin(stage, frame)
         yield
         self.end(stage)
 
@@ -133,8 +151,9 @@ class Health:
         with self._lock:
             now = time.monotonic()
             for stage, since in self._since.items():
-                self._add_busy(stage, now - since[1])
-                since[1] = now
+                self._add_busy(stage, now - since.counted)
+                since.counted = now
+                self._span.works[stage] = Took(now - since.began, since.taken)
             span, self._span = self._span, Span(now)
         span.seconds = now - span.began
         return span

@@ -92,7 +92,7 @@ class Pipeline:
 
     def _encode(self) -> None:
         for frame, gaussians in self._to_draw():
-            with self._health.busy("encode"):
+            with self._health.busy("encode", frame):
                 drawn = Drawn(finished(self._draw(gaussians, self._scenes.rig, frame.number)))
             self._health.has_drawn(frame)
             self._drawn.put((frame, drawn))

@@ -49,7 +49,7 @@ class Recording:
         number = round((frame.taken - self._start) * self._fps)
         if number <= self._last:
             return
-        with self._health.busy("recording"):
+        with self._health.busy("recording", frame):
             self._video.put(number, drawn.pixels)
         self._last = number
         self._health.has_sent(frame)

@@ -16,6 +16,7 @@ import torch
 from lightfield_gs.app.cameras import read_camera
 from lightfield_gs.app.options import AUTO, FLAT, CameraOptions, LookOptions, PhotoOptions, RenderOptions, SceneOptions
 from lightfield_gs.app.photo import ReadPhoto, read_frame
+from lightfield_gs.app.photo_depth import network_picture, steady_pictures
 from lightfield_gs.app.photo_pair import has_other_way
 from lightfield_gs.app.scene import build_scene, check_scene_options, frame_scene, read_source
 from lightfield_gs.app.steady_photos import steady_photos
@@ -26,7 +27,7 @@ from lightfield_gs.base.options import StereoInput
 from lightfield_gs.io.atomic import scratch_folder
 from lightfield_gs.io.images import Picture, write_image
 from lightfield_gs.live.depths import LiveDepths, settled_camera
-from lightfield_gs.live.detail import Detail
+from lightfield_gs.live.detail import LEAST_NETWORK_PX, Detail
 from lightfield_gs.live.health import Health
 from lightfield_gs.live.objects import LiveObjects
 from lightfield_gs.live.rgbd_cameras import RgbdPicture
@@ -113,6 +114,7 @@ class LiveScenes:
             until = until or time.monotonic() + _PATIENCE_S
             try:
                 self.first = frame, self._settle_by(self._picture(frame))
+                self.detail.count_after(frame.taken)
                 return
             except _NotYetError:
                 if time.monotonic() > until:
@@ -123,6 +125,7 @@ class LiveScenes:
         """Count the first picture as taken now: that of a film which waited."""
         frame, gaussians = self.first
         self.first = replace(frame, taken=time.monotonic()), gaussians
+        self.detail.count_after(self.first[0].taken)
 
     def __call__(self, frames: Iterator[Frame]) -> Iterator[tuple[Frame, Gaussians]]:
         """Yield the scene of each picture, with depths that are averaged with those before it, up to a cut.
@@ -152,7 +155,7 @@ class LiveScenes:
                 yield number, objects(cut)
         elif self._has_layers:
             how = self._name, photo, self._look, self._panel, device, self._memory
-            depths = LiveDepths(*how, self._is_measured, self.detail, self._health)
+            depths = LiveDepths(*how, self._is_measured, self.detail)
             yield from depths(self._read(frames, taken, depths.read))
         else:
             options = SceneOptions(self._name, photo=photo)
@@ -175,7 +178,7 @@ class LiveScenes:
             pictures = self._each(self.stage, ((frame, frame) for frame in frames), self._picture)
             items = self._each(self.stage, pictures, read)
         for frame, value in items:
-            self._health.begin(self.stage)
+            self._health.begin(self.stage, frame)
             taken[frame.number] = frame
             yield frame.number, value
 
@@ -184,7 +187,7 @@ class LiveScenes:
     ) -> Iterator[tuple[Frame, _T]]:
         """Yield what is made of items; the time counts for a stage."""
         for frame, item in items:
-            self._health.begin(stage)
+            self._health.begin(stage, frame)
             try:
                 made = make(item)
             except InputError as error:
@@ -253,8 +256,23 @@ class LiveScenes:
             self.detail.limit(rig.focal_px[0] / focal[0] * view_fraction(self._panel))
         if not self._is_whole and self._device == "cuda":
             self.detail.take_whole()
+        if self._is_whole and self._photo.depth == AUTO and self._device == "cpu":
+            how += self._foreseen(picture)
         self.messages = [self._renamed(line, path) for line in [*lines, *messages, *first.messages, *how]]
         return first.gaussians
+
+    def _foreseen(self, picture: Picture) -> list[str]:
+        """Let the network for depths see a small picture, and return lines on what it may see from then on.
+
+        On a GPU a small picture says nothing: most of its time are launches.
+        """
+        side, device = (lambda seen: min(seen.shape[:2])), self._device
+        own, small = (network_picture(picture.pixels, self._photo, device, px) for px in (None, LEAST_NETWORK_PX))
+        for _ in range(2):  # the first time takes longer
+            began = time.perf_counter()
+            next(steady_pictures([(0, small)], self._photo, device))
+            took = time.perf_counter() - began
+        return self.detail.foresee_network(side(own), side(small), took)
 
     def _kind_of(self, path: Path, picture: Picture) -> tuple[PhotoOptions, list[str]]:
         """Return the options with what a picture in a file is: a pair, or a photo with its depth map beside it."""

@@ -143,7 +143,7 @@ class VirtualCamera:
 
     def put(self, frame: Frame, drawn: Drawn) -> None:
         """See Out."""
-        with self._health.busy("virtual camera"):
+        with self._health.busy("virtual camera", frame):
             try:
                 os.write(self._number, self._packed(drawn.pixels).data)  # each call is a picture
             except OSError as error:

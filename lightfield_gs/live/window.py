@@ -37,6 +37,6 @@ class WindowOut:
             is_open = self._window.handle_events(_LONGEST_WAIT_S) and not is_over.is_set()
             if (item := self._newest.take()) is not None:
                 frame, drawn = item
-                with self._health.busy("window"):
+                with self._health.busy("window", frame):
                     self._window.show(drawn.image)
                 self._health.has_sent(frame)

@@ -30,7 +30,7 @@ from lightfield_gs.cli import main
 from lightfield_gs.io.images import Picture
 from lightfield_gs.live.detail import Detail
 from lightfield_gs.live.drawing import LiveRenderer
-from lightfield_gs.live.health import Health, Span
+from lightfield_gs.live.health import Health, Span, Took
 from lightfield_gs.live.outs import Drawn
 from lightfield_gs.live.page import PageOut
 from lightfield_gs.live.pipeline import Pipeline
@@ -214,10 +214,11 @@ def test_pictures_without_an_object_are_counted_and_left_out(tmp_path):
     assert list(span.unused.values()) == [2] and "2 not used: " in span.line()
 
 
-def span_of(seconds: float, taken: int, **busy: tuple[float, int]) -> Span:
-    span = Span(seconds=seconds, taken=taken)
+def span_of(seconds: float, taken: int, before_s: float = 0.0, **busy: tuple[float, int]) -> Span:
+    """Stages with their seconds of work and their number of pictures, which came now, or so long ago."""
+    span, moment = Span(seconds=seconds, taken=taken), time.monotonic() - before_s
     span.busy_s = {name: each for name, (each, _) in busy.items()}
-    span.took_s = {name: [each / count] * count for name, (each, count) in busy.items()}
+    span.took = {name: [Took(each / count, moment)] * count for name, (each, count) in busy.items()}
     return span
 
 
@@ -236,49 +237,65 @@ def test_the_busiest_stage_is_the_bound_or_else_the_source():
 def test_pictures_become_smaller_until_the_rate_holds_and_never_for_more_than_the_source_has():
     detail = Detail(30, None)
     detail.size_px = 720, 1280
-    slow = span_of(1, 30, depth=(1.0, 10), encode=(0.2, 10))
-    assert detail.adapt(slow) is None  # the first pictures of a size take longer
-    line = detail.adapt(slow)
-    assert line is not None and "the depth takes 100 ms" in line and "not 1280 x 720" in line
+    slow = dict(depth=(1.0, 10), encode=(0.2, 10))
+    assert detail.adapt(span_of(1, 30, depth=(0.1, 1))) == []  # the first picture of a size takes longer
+    (line,) = detail.adapt(span_of(1, 30, **slow))
+    assert "the depth takes 100 ms" in line and "not 1280 x 720" in line
     assert detail.scaling.most_pixels == pytest.approx(720 * 1280 * 0.3)
-    assert detail.adapt(slow) is None
-    assert detail.adapt(span_of(1, 10, depth=(0.9, 10))) is None  # the source gives no more than ten
+    assert detail.adapt(span_of(1, 30, before_s=60, **slow)) == []  # of pictures before the change
+    assert detail.adapt(span_of(1, 10, depth=(0.9, 10))) == []  # the source gives no more than ten
     detail.size_px = 180, 320
     better = span_of(1, 30, depth=(0.8, 10))
-    assert "give --fps 12" in (detail.adapt(better) or "") and detail.adapt(better) is None  # said once
+    assert "give --fps 12" in detail.adapt(better)[0] and detail.adapt(span_of(1, 30, **slow)) == []  # said once
     in_vain = Detail(30, None)
     in_vain.size_px = 720, 1280
-    said = [in_vain.adapt(span_of(1, 30, encode=(0.98, 5))) for _ in range(5)]
-    assert "do not help" in (said[3] or "") and said[4] is None and in_vain.scaling == Detail(30, None).scaling
+    said = [in_vain.adapt(span_of(1, 30, encode=(0.98, 5))) for _ in range(3)]
+    assert "do not help" in said[1][0] and said[2] == [] and in_vain.scaling == Detail(30, None).scaling
     automatic = Detail(30, None, None)
-    automatic.size_px, slow_to_draw = (720, 1280), span_of(1, 30, encode=(0.98, 5))
-    said = [automatic.adapt(slow_to_draw) for _ in range(4)]
-    assert "--quality fast" in (said[1] or "") and automatic.quality == "fast" and "not 1280 x 720" in (said[3] or "")
+    automatic.size_px = 720, 1280
+    said = [automatic.adapt(span_of(1, 30, encode=(0.98, 5))) for _ in range(2)]
+    assert "--quality fast" in said[0][0] and automatic.quality == "fast" and "not 1280 x 720" in said[1][0]
+    far = Detail(30, None, None)
+    assert "--quality fast" in far.adapt(span_of(2, 60, encode=(2.0, 1)))[0]  # even the first picture
+    unfinished = Detail(30, None, None)
+    begun = span_of(1, 30)
+    begun.works = {"encode": Took(2.0, time.monotonic())}
+    assert "--quality fast" in unfinished.adapt(begun)[0]
+    easy, hard = (Detail(30, None, None, begins_fast=True) for _ in range(2))
+    assert easy.quality == "fast" and "--quality exact" in easy.adapt(span_of(1, 30, encode=(0.1, 30)))[0]
+    assert hard.adapt(span_of(1, 30, encode=(0.5, 30))) == [] and (easy.quality, hard.quality) == ("exact", "fast")
     wide = Detail(30, None)
     wide.size_px = 720, 1280
     wide.limit(0.25)
     assert wide.scaling.most_pixels == pytest.approx(720 * 1280 * (1.4 * 0.25) ** 2, abs=1)
     fixed = Detail(30, 1_000_000, network_px=98)
-    assert [fixed.adapt(slow) for _ in range(3)] == [None] * 3 and fixed.scaling.most_pixels == 1_000_000
+    fixed.network_took(98, 0.09)
+    assert [fixed.adapt(span_of(1, 30, **slow)) for _ in range(3)] == [[]] * 3
+    assert fixed.scaling.most_pixels == 1_000_000 and fixed.most_network_px == 98
 
 
 def test_the_network_for_depths_sees_less_where_it_takes_most_of_the_time():
     detail = Detail(5, 1_000_000)
-    times = dict(depth=(2.4, 1), network=(2.3, 1))
-    detail.network_px = 518
-    assert detail.adapt(span_of(3, 90, **times)) is None  # the first pictures
-    line = detail.adapt(span_of(3, 90, **times)) or ""
-    assert "its network takes 2300 ms" in line and "259 pixels to the shorter side, not 518" in line
-    detail.network_px = 252
-    assert [detail.adapt(span_of(1, 90, depth=(0.6, 1), network=(0.5, 1))) is None for _ in range(2)] == [True, False]
-    assert detail.most_network_px == 126
+    detail.network_took(518, 0.5)
+    (line,) = detail.adapt(span_of(1, 90, depth=(1.2, 2)))
+    assert "the network for depths takes 500 ms" in line and "not 518" in line
+    assert detail.most_network_px == int(518 * (0.08 / 0.5) ** 0.5)  # the rest of the depth takes 100 ms of 180
+    detail.network_took(196, 0.3)
+    assert "126 pixels" in detail.adapt(span_of(3, 90, depth=(2.5, 5)))[0]
+    detail.network_took(126, 0.3)
+    assert detail.adapt(span_of(3, 90, depth=(2.5, 5))) == [] and detail.most_network_px == 126
     in_vain = Detail(5, 1_000_000)
-    in_vain.network_px = 518  # of a network that takes one size
-    said = [in_vain.adapt(span_of(3, 90, **times)) for _ in range(6)]
-    assert len([line for line in said if line]) == 1
+    in_vain.network_took(518, 2.3)  # a network that takes one size
+    assert [len(in_vain.adapt(span_of(3, 90, depth=(2.4, 1)))) for _ in range(3)] == [1, 0, 0]
     even = Detail(5, 1_000_000)
-    even.network_px = 518
-    assert [even.adapt(span_of(3, 90, depth=(2.4, 1), network=(0.9, 1))) for _ in range(3)] == [None] * 3
+    even.network_took(518, 0.9)
+    assert even.adapt(span_of(3, 90, depth=(2.4, 1))) == [] and even.most_network_px is None
+    foreseen = Detail(30, None)
+    assert foreseen.foresee_network(518, 126, 0.0005) == [] and foreseen.most_network_px is None
+    assert "126 pixels to the shorter side, not 518" in foreseen.foresee_network(518, 126, 0.1)[0]
+    both = Detail(5, None, None)
+    both.network_took(518, 2.3)
+    assert len(both.adapt(span_of(3, 90, depth=(2.4, 1), encode=(2.4, 1)))) == 2
 
 
 @pytest.mark.parametrize(
