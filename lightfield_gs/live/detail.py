@@ -18,6 +18,7 @@ LEAST_NETWORK_PX = 126  # nine patches of the usual networks for depths: with fe
 _PATCH_PX = 14
 _SLOW = 1.1  # of the time for a frame, from which on a stage is too slow
 _HELPS = 0.9  # of the time before, above which smaller pictures were of no use
+_FEWER = 0.6  # of the pixels before, below which that can be told
 _LONGEST_START_S = 1.5  # of a first picture, which takes longer than those after it; beyond it counts, also unfinished
 _EASY = 6  # times as long may a fast drawing take from which on an exact one is tried: the CPU's takes up to 4 times
 _NETWORK_PART, _NETWORK_POWER = 0.5, 2.2  # its part of the time; its time grows by that power of the side it sees
@@ -27,7 +28,7 @@ STAGES = ("network", "depth", "encode")  # which take less time for fewer pixels
 
 
 class Detail:
-    """Quality and size of the pictures, which become less where a stage is too slow for the rate; never more.
+    """Quality and size of the pictures, which become less where a stage is too slow for the rate; sizes never more.
 
     Args:
         fps: The frames a second to hold.
@@ -178,7 +179,8 @@ class Detail:
     def _less_pixels(self, stage: str, seconds: float, wanted: float) -> str:
         """Take smaller pictures for a stage, unless that is of no use; return words on it."""
         before, self._slow = self._slow, (stage, seconds, self.scaling.most_pixels)
-        if before is not None and stage == before[0] and seconds > _HELPS * before[1]:
+        has_fewer = before is not None and self.scaling.most_pixels < _FEWER * before[2]
+        if before is not None and has_fewer and stage == before[0] and seconds > _HELPS * before[1]:
             self._is_said, self.scaling = True, replace(self.scaling, most_pixels=before[2])
             less = "--quality fast and --device draw faster" if stage == "encode" else "--device is another"
             return f"smaller pictures do not help, and are taken as large as before; {less}"
