@@ -16,7 +16,6 @@ _WHOLE_PIXELS = 1920 * 1088  # of pictures of which an object on a GPU is cut ou
 LEAST_PIXELS = 320 * 180  # less is a blur on any panel
 LEAST_NETWORK_PX = 126  # nine patches of the usual networks for depths: with fewer, things are blobs
 _PATCH_PX = 14
-_SLOW = 1.1  # of the time for a frame, from which on a stage is too slow
 _HELPS = 0.9  # of the time before, above which smaller pictures were of no use
 _FEWER = 0.6  # of the pixels before, below which that can be told
 _LONGEST_START_S = 1.5  # of a first picture, which takes longer than those after it; beyond it counts, also unfinished
@@ -61,6 +60,7 @@ class Detail:
         self.scaling = Scaling(pixels or MOST_PIXELS)
         self.most_network_px, self._is_network_fixed = network_px, network_px is not None
         self._network = (0, 0.0)  # what it saw last, and its seconds
+        self._slow_network: tuple[int, float, int | None] | None = None  # the same before it saw less, and the limit
         self._slow: tuple[str, float, int] | None = None  # what was too slow before, its seconds, and the pixels then
         self.size_px: tuple[int, int] = (0, 0)
 
@@ -124,7 +124,7 @@ class Detail:
             return []
         wanted = 1 / min(self._fps, max(1.0, span.taken / span.seconds))
         times = self._times(span)
-        slow = {stage: seconds for stage, seconds in times.items() if seconds > _SLOW * wanted}
+        slow = {stage: seconds for stage, seconds in times.items() if seconds > wanted}
         wish = f"for a frame, and {1 / wanted:.3g} a second are wanted"
         words = {stage: f"the {stage} takes {1000 * seconds:.0f} ms {wish}" for stage, seconds in slow.items()}
         lines = []
@@ -136,11 +136,9 @@ class Detail:
         if "encode" in slow and self._may_draw_fast:
             self.quality, self._may_draw_fast = "fast", False
             lines.append(f"{words.pop('encode')}: it draws with --quality fast (--quality exact keeps it)")
-        if "depth" in slow and (seen := self._less_for_network(slow["depth"], wanted)) is not None:
+        if "depth" in slow and (change := self._less_for_network(slow["depth"], wanted)) is not None:
             del words["depth"]
-            took = f"the network for depths takes {1000 * self._network[1]:.0f} ms {wish}"
-            side = f"{self.most_network_px} pixels to the shorter side, not {seen}"
-            lines.append(f"{took}: it sees {side} (--network-px keeps them)")
+            lines.append(f"the network for depths takes {1000 * self._network[1]:.0f} ms {wish}: {change}")
         if words and not (self._is_fixed or self._is_said):
             stage = max(words, key=lambda name: slow[name])
             lines.append(f"{words[stage]}: {self._less_pixels(stage, slow[stage], wanted)}")
@@ -163,18 +161,24 @@ class Detail:
                 times[stage] = mean(fresh)
         return times
 
-    def _less_for_network(self, depth_s: float, wanted: float) -> int | None:
-        """Let the network for depths see less where it takes most of the time; return what it saw, or None."""
-        (seen, took), limit = self._network, self.most_network_px
-        if self._is_network_fixed or 2 * took < depth_s:
+    def _less_for_network(self, depth_s: float, wanted: float) -> str | None:
+        """Let the network for depths see less where it takes most of the time, unless that is of no use; return words.
+
+        On a GPU that draws meanwhile, most of its time may be waiting.
+        """
+        (seen, took), before = self._network, self._slow_network
+        if self._is_network_fixed:
             return None
-        if seen <= LEAST_NETWORK_PX or (limit is not None and seen > limit + _PATCH_PX):  # it takes one size
-            self._is_network_fixed = True
+        if before is not None and took > _HELPS * before[1]:
+            self._is_network_fixed, self.most_network_px = True, before[2]
+            return f"{seen} pixels to the shorter side do not help, and it sees {before[0]} again"
+        if 2 * took < depth_s or seen <= LEAST_NETWORK_PX:
             return None
+        self._slow_network = seen, took, self.most_network_px
         part = (_AIM * wanted - (depth_s - took)) / took
         fewer = int(seen * math.sqrt(max(0.0, part)))
         self.most_network_px = max(LEAST_NETWORK_PX, min(fewer, seen - _PATCH_PX))
-        return seen
+        return f"it sees {self.most_network_px} pixels to the shorter side, not {seen} (--network-px keeps them)"
 
     def _less_pixels(self, stage: str, seconds: float, wanted: float) -> str:
         """Take smaller pictures for a stage, unless that is of no use; return words on it."""
