@@ -12,6 +12,7 @@ from lightfield_gs.live.health import Span
 from lightfield_gs.video.decoding import Scaling
 
 MOST_PIXELS = 1_500_000  # as of a photo: a view of a panel has fewer
+_CPU_PIXELS = 400_000  # as many as a view of a panel of 4K has
 _WHOLE_PIXELS = 1920 * 1088  # of pictures of which an object on a GPU is cut out
 LEAST_PIXELS = 320 * 180  # less is a blur on any panel
 LEAST_NETWORK_PX = 126  # nine patches of the usual networks for depths: with fewer, things are blobs
@@ -34,7 +35,8 @@ class Detail:
         pixels: Of a picture. None: as many as hold the rate.
         quality: Of the drawing. None: exact, or fast where that does not hold the rate.
         network_px: Shorter side of what the network for depths sees, at most. None: as much as holds the rate.
-        begins_fast: Whether an automatic quality begins with fast, and becomes exact where there is much time.
+        is_slow: Whether a CPU draws. Then an automatic quality begins with fast, and becomes exact where there is much
+            time; and pictures are smaller from the first one on, which else takes several seconds.
 
     Attributes:
         quality: Of the drawing, now.
@@ -49,15 +51,15 @@ class Detail:
         pixels: int | None,
         quality: QualityName | None = "exact",
         network_px: int | None = None,
-        begins_fast: bool = False,
+        is_slow: bool = False,
     ):
-        self.quality: QualityName = quality or ("fast" if begins_fast else "exact")
-        self._may_draw_exactly = quality is None and begins_fast
-        self._may_draw_fast = quality is None and not begins_fast
+        self.quality: QualityName = quality or ("fast" if is_slow else "exact")
+        self._may_draw_exactly = quality is None and is_slow
+        self._may_draw_fast = quality is None and not is_slow
         self._least = LEAST_PIXELS
         self._fps, self._is_fixed, self._is_said = fps, pixels is not None, False
         self._changed, self._warm = -math.inf, set[str]()  # the moment of the last change, and the stages seen since
-        self.scaling = Scaling(pixels or MOST_PIXELS)
+        self.scaling = Scaling(pixels or (_CPU_PIXELS if is_slow else MOST_PIXELS))
         self.most_network_px, self._is_network_fixed = network_px, network_px is not None
         self._network = (0, 0.0)  # what it saw last, and its seconds
         self._slow_network: tuple[int, float, int | None] | None = None  # the same before it saw less, and the limit

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import torch
+from benchmarks.live import stand_in
 from live_sources import Clock
 from photo_cases import photo, psnr_db, tiny_net
 
 from lightfield_gs import _core
-from lightfield_gs.app.options import LookOptions, PhotoOptions, RenderOptions
+from lightfield_gs.app.options import AUTO, LookOptions, PhotoOptions, RenderOptions
 from lightfield_gs.base.cli_messages import capturable_streams
 from lightfield_gs.io.images import Picture
 from lightfield_gs.live.detail import Detail
@@ -31,7 +32,7 @@ ROWS, COLUMNS = np.mgrid[:96, :192]
 
 def drawn(pictures: list[np.ndarray], options: PhotoOptions, device: str) -> list[torch.Tensor]:
     """The panel's pictures of pictures that wait for each other, so that none is dropped."""
-    detail = Detail(30, 1_000_000)
+    detail = Detail(30, 1_000_000, network_px=98)
     scenes = LiveScenes(Clock(1, 1), options, RenderOptions(), LookOptions(), PANEL, device, detail, Health())
     frames = [Frame(number, 0.0, lambda scaling, p=p: Picture(p)) for number, p in enumerate(pictures)]
     images: list[torch.Tensor] = []
@@ -67,6 +68,18 @@ def test_layers_with_a_remembered_background_are_those_of_the_cpu():
     options = PhotoOptions(rgbd="right", depth_range=(1.0, 2.0))
     for image, expected in zip(drawn(pictures, options, "cuda"), drawn(pictures, options, "cpu"), strict=True):
         assert psnr_db(image, expected) > 38
+
+
+def test_estimated_depths_are_those_of_the_cpu():
+    """The network sees pictures that each device makes small in its own way."""
+    ways = {}
+    for device in ("cuda", "cpu"):
+        with stand_in(device):
+            options = PhotoOptions(depth=AUTO, depth_model="stand-in")
+            pictures = [np.where(moving(n)[:, :192, :1] == 230, (230, 40, 30), (40, 120, 200)) for n in range(4)]
+            ways[device] = drawn([picture.astype(np.uint8) for picture in pictures], options, device)
+    for image, expected in zip(ways["cuda"], ways["cpu"], strict=True):
+        assert psnr_db(image, expected) > 30
 
 
 def test_objects_are_those_of_the_cpu(tmp_path):

@@ -261,9 +261,10 @@ def test_pictures_become_smaller_until_the_rate_holds_and_never_for_more_than_th
     begun = span_of(1, 30)
     begun.works = {"encode": Took(2.0, time.monotonic())}
     assert "--quality fast" in unfinished.adapt(begun)[0]
-    easy, hard = (Detail(30, None, None, begins_fast=True) for _ in range(2))
+    easy, hard = (Detail(30, None, None, is_slow=True) for _ in range(2))
     assert easy.quality == "fast" and "--quality exact" in easy.adapt(span_of(1, 30, encode=(0.1, 30)))[0]
     assert hard.adapt(span_of(1, 30, encode=(0.5, 30))) == [] and (easy.quality, hard.quality) == ("exact", "fast")
+    assert Detail(30, None, "exact", is_slow=True).scaling.most_pixels < 500_000 < Detail(30, None).scaling.most_pixels
     wide = Detail(30, None)
     wide.size_px = 720, 1280
     wide.limit(0.25)
