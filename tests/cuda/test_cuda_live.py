@@ -6,10 +6,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import torch
-from benchmarks.live import stand_in
 from live_sources import Clock
 from photo_cases import photo, psnr_db, tiny_net
 
+from benchmarks.live import stand_in
 from lightfield_gs import _core
 from lightfield_gs.app.options import AUTO, LookOptions, PhotoOptions, RenderOptions
 from lightfield_gs.base.cli_messages import capturable_streams
