@@ -56,7 +56,7 @@ class DepthModel(Protocol):
 
         Args:
             pixels: The picture.
-            shorter_px: Its shorter side at most, about. Networks that take one size alone heed it not.
+            shorter_px: Its shorter side at most, about. Networks of one size do not heed it.
         """
 
     def predict(self, pictures: Sequence[Pixels]) -> list[Prediction]:

@@ -111,7 +111,7 @@ def _is_plain(processor: Any) -> bool:
         and processor.do_resize
         and processor.do_rescale
         and processor.do_normalize
-        and not processor.do_pad
+        and not getattr(processor, "do_pad", False)
         and int(processor.resample) == Image.Resampling.BICUBIC
         and abs(255 * processor.rescale_factor - 1) < 1e-6
     )
