@@ -268,6 +268,8 @@ class LiveScenes:
         """
         side, device = (lambda seen: min(seen.shape[:2])), self._device
         own, small = (network_picture(picture.pixels, self._photo, device, px) for px in (None, LEAST_NETWORK_PX))
+        if side(small) >= side(own):  # a network of one size, or one that sees less by itself
+            return []
         for _ in range(2):  # the first time takes longer
             began = time.perf_counter()
             next(steady_pictures([(0, small)], self._photo, device))
