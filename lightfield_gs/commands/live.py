@@ -13,7 +13,7 @@ from pathlib import Path
 
 import torch
 
-from lightfield_gs.app.options import EyesOptions, LookOptions, PanelOptions, PhotoOptions, RenderOptions
+from lightfield_gs.app.options import AUTO, EyesOptions, LookOptions, PanelOptions, PhotoOptions, RenderOptions
 from lightfield_gs.app.scene import check_photo_options
 from lightfield_gs.app.tracked_eyes import TrackedScreen, refuse_eyes, tracked_screen
 from lightfield_gs.app.video import DEFAULT_FPS
@@ -202,6 +202,8 @@ def _check(options: LiveOptions) -> None:
     for name, way in _NOT_LIVE.items():
         if getattr(photo, name) is not None:
             raise InputError(as_options(f"{name}=: {way}; leave it out"))
+    if options.network_px is not None and photo.depth != AUTO:
+        raise InputError("--network-px is for the network of --depth auto; give --depth auto too, or leave it out")
     if photo.depth_file is not None:
         raise InputError(
             f"--depth {photo.depth_file}: a live picture has no depth map in a file; give --depth auto or flat, or "

@@ -310,6 +310,7 @@ def test_the_network_for_depths_sees_less_where_it_takes_most_of_the_time():
         ("-o out.png", ".mkv"),
         ("-o out.mp4 --codec h264", "h264-rgb"),
         ("--depth-model X --depth flat", "--depth auto"),
+        ("--network-px 98 --depth flat", "--depth auto"),
     ],
 )
 def test_what_a_live_picture_cannot_have_is_refused(film, options, words, capsys):
