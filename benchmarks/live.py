@@ -12,13 +12,15 @@ import os
 import resource
 import threading
 import time
+from array import array
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from statistics import mean, median
+from statistics import median
 from typing import Any
 from unittest import mock
 
@@ -137,8 +139,7 @@ def row(way: str, panel: Panel, given: Options) -> dict[str, Any]:
     """Run the loop, and return what came of it. Raises InputError."""
     rate = given.rate or (120 if given.device == "cuda" else 30)
     health, detail = Health(), _detail(given)
-    spans: list[Span] = []
-    words: list[str] = []
+    sums, words = Sums(), list[str]()
     with ExitStack() as stack:
         stack.enter_context(capturable_streams())
         parameters = 0
@@ -162,17 +163,16 @@ def row(way: str, panel: Panel, given: Options) -> dict[str, Any]:
         pipeline = Pipeline(reader, scenes, draw, [sink], health, ended.set)
         pipeline.start()
         try:
-            _pass(given.warm_up, health, detail, ended, words)
+            _pass(given.warm_up, health, detail, ended, words, Sums())
             health.take()
             before, cpu, began = memory(given.device), time.process_time(), time.monotonic()
-            spans = _pass(given.seconds, health, detail, ended, words)
+            _pass(given.seconds, health, detail, ended, words, sums)
             seconds, used = time.monotonic() - began, time.process_time() - cpu
             after = memory(given.device)
         finally:
             pipeline.stop()
-    latencies = sorted(1000 * latency for span in spans for latency in span.latencies_s)
-    stages = {name for span in spans for name in span.took}
-    busy = {name: sum(span.busy_s.get(name, 0.0) for span in spans) / seconds for name in stages}
+    latencies = sorted(1000 * latency for latency in sums.latencies_s)
+    busy = {name: sums.busy_s[name] / seconds for name in sums.took_s}
     return {
         "way": way,
         "panel": panel.name,
@@ -186,9 +186,7 @@ def row(way: str, panel: Panel, given: Options) -> dict[str, Any]:
         "frames_per_second": len(latencies) / seconds,
         "latency_ms_median": median(latencies) if latencies else None,
         "latency_ms_95": latencies[int(0.95 * (len(latencies) - 1))] if latencies else None,
-        "stages_ms": {
-            name: 1000 * mean(t.seconds for span in spans for t in span.took.get(name, ())) for name in stages
-        },
+        "stages_ms": {name: 1000 * sums.took_s[name] / sums.pictures[name] for name in sums.took_s},
         "busy": busy,
         "bound": max(busy, key=lambda name: busy[name], default="source"),
         "cpu_seconds_per_frame": used / max(1, len(latencies)),
@@ -196,20 +194,47 @@ def row(way: str, panel: Panel, given: Options) -> dict[str, Any]:
         "most_network_px": detail.most_network_px,
         "quality": detail.quality,
         "network_parameters": parameters,
-        "unused": {reason: count for span in spans for reason, count in span.unused.items()},
+        "unused": dict(sums.unused),
         "memory_before": before,
         "memory_after": after,
         "said": words,
     }
 
 
-def _pass(seconds: float, health: Health, detail: Detail, ended: threading.Event, words: list[str]) -> list[Span]:
+class Sums:
+    """What happened in many seconds, in little memory: the measurement must not look like something that grows.
+
+    Attributes:
+        latencies_s: From taken to sent, of each picture.
+        busy_s: Of each stage.
+        took_s: Seconds of each stage for all pictures that it finished.
+        pictures: Their number.
+        unused: Reasons why pictures could not be used, and of how many.
+    """
+
+    def __init__(self) -> None:
+        self.latencies_s = array("f")
+        self.busy_s, self.took_s = defaultdict[str, float](float), defaultdict[str, float](float)
+        self.pictures, self.unused = Counter[str](), Counter[str]()
+
+    def add(self, span: Span) -> None:
+        """Add a second."""
+        self.latencies_s.extend(span.latencies_s)
+        for stage, seconds in span.busy_s.items():
+            self.busy_s[stage] += seconds
+        self.unused.update(span.unused)
+        for stage, parts in span.took.items():
+            self.took_s[stage] += sum(part.seconds for part in parts)
+            self.pictures[stage] += len(parts)
+
+
+def _pass(seconds: float, health: Health, detail: Detail, ended: threading.Event, words: list[str], sums: Sums) -> None:
     """Let time pass; each second the detail is adapted, as by `live`."""
-    spans, until = [], time.monotonic() + seconds
+    until = time.monotonic() + seconds
     while (left := until - time.monotonic()) > 0 and not ended.wait(min(1.0, left)):
-        spans.append(health.take())
-        words += detail.adapt(spans[-1])
-    return spans
+        span = health.take()
+        sums.add(span)
+        words += detail.adapt(span)
 
 
 @dataclass(frozen=True, kw_only=True)
