@@ -103,7 +103,7 @@ class Detail:
             A line, where it sees less.
         """
         fits = small_px * (_NETWORK_PART / self._fps / seconds) ** (1 / _NETWORK_POWER)
-        if self._is_network_fixed or fits >= own_px:
+        if fits >= own_px:
             return []
         self.most_network_px = max(LEAST_NETWORK_PX, int(fits))
         why = f"it takes {1000 * seconds:.0f} ms for {small_px}"

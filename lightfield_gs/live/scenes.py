@@ -256,7 +256,8 @@ class LiveScenes:
             self.detail.limit(rig.focal_px[0] / focal[0] * view_fraction(self._panel))
         if not self._is_whole and self._device == "cuda":
             self.detail.take_whole()
-        if self._is_whole and self._photo.depth == AUTO and self._device == "cpu":
+        is_open = self.detail.most_network_px is None
+        if self._is_whole and self._photo.depth == AUTO and self._device == "cpu" and is_open:
             how += self._foreseen(picture)
         self.messages = [self._renamed(line, path) for line in [*lines, *messages, *first.messages, *how]]
         return first.gaussians

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from lightfield_gs.photo.depth_models.model import Pixels
+from lightfield_gs.photo.depth_models.model import Pixels, as_tensor
 from lightfield_gs.photo.steady_depth import PictureEstimate, fit_scale, is_cut
 
 _OVERLAP = 8  # pictures that a window shares with the one before
@@ -38,7 +37,7 @@ def in_windows(
             yield number, PictureEstimate.of(values, picture)
 
     for number, picture in pictures:
-        ends = bool(window) and bool(is_cut(_floats(window[-1][1]), _floats(picture)))
+        ends = bool(window) and bool(is_cut(*(as_tensor(part) / 255 for part in (window[-1][1], picture))))
         if ends or len(window) == at_once:
             known = _continued(known, disparities([part for _, part in window]), has_scale)
             done = len(window) if ends else len(window) - _OVERLAP
@@ -59,7 +58,3 @@ def _continued(known: list[Tensor], values: list[Tensor], has_scale: bool) -> li
     values = [scale * part + offset for part in values] if scale > 0 else values
     fading = [torch.lerp(old, new, (i + 1) / (len(known) + 1)) for i, (old, new) in enumerate(zip(known, values))]
     return fading + values[len(known) :]
-
-
-def _floats(picture: Pixels) -> Tensor:
-    return (torch.from_numpy(np.array(picture)) if isinstance(picture, np.ndarray) else picture) / 255

@@ -102,6 +102,11 @@ def _tf32() -> Iterator[None]:
         products.allow_tf32 = before
 
 
+def as_tensor(pixels: Pixels) -> Tensor:
+    """Return a picture as a tensor, where it is."""
+    return torch.from_numpy(np.array(pixels)) if isinstance(pixels, np.ndarray) else pixels
+
+
 def resized(pixels: Pixels, height: int, width: int, how: Image.Resampling = Image.Resampling.BICUBIC) -> Pixels:
     """Return a picture at another size."""
     if isinstance(pixels, np.ndarray):
@@ -115,8 +120,7 @@ def normalized(
     pictures: Sequence[Pixels], device: torch.device, mean: Sequence[float] = _MEAN, std: Sequence[float] = _STD
 ) -> Tensor:
     """Return pictures of one size as [B, 3, h, w], in 0..1, without the mean and by the standard deviation."""
-    tensors = [torch.from_numpy(np.array(part)) if isinstance(part, np.ndarray) else part for part in pictures]
-    images = torch.stack(tensors).to(device).float().movedim(3, 1) / 255
+    images = torch.stack([as_tensor(part) for part in pictures]).to(device).float().movedim(3, 1) / 255
     middle, unit = (_per_channel(tuple(values), device) for values in (mean, std))
     return (images - middle) / unit
 
